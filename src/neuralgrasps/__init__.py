@@ -1,0 +1,3 @@
+"""Grasping with any robot hand."""
+
+__version__ = "0.1.0"
