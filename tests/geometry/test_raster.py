@@ -98,7 +98,7 @@ def test_agrees_with_ray_casting_on_random_scenes(seed):
     poses = []
     for _ in solids:
         pose = trimesh.transformations.random_rotation_matrix(rng.random(3))
-        pose[:3, 3] = rng.normal(scale=0.05, size=3) + [0, 0, 0.35]
+        pose[:3, 3] = rng.normal(scale=0.05, size=3) + np.array([0, 0, 0.35])
         poses.append(pose)
     image = rasterise([triangles(s) for s in solids], np.stack(poses), camera)
     rays = pixel_rays(camera).reshape(-1, 3)
@@ -147,7 +147,7 @@ def test_moving_scene_and_camera_together_changes_nothing(assets):
     first = rasterise([scan], X_CM[None], CAMERA).depth
     second = rasterise([moved], (X_CM @ np.linalg.inv(move))[None], CAMERA).depth
     both = np.isfinite(first) & np.isfinite(second)
-    assert both.sum() > 2000 and (np.isfinite(first) ^ np.isfinite(second)).sum() <= 2
+    assert both.sum() > 1500 and (np.isfinite(first) ^ np.isfinite(second)).sum() <= 2
     # float32 depth and grazing faces: the median is exact, single silhouette pixels may pick the face behind
     assert np.median(np.abs(first[both] - second[both])) < 1e-6
     assert (np.abs(first[both] - second[both]) > 1e-5).mean() < 1e-3
@@ -165,7 +165,7 @@ def test_nothing_to_see():
     mesh = triangles(trimesh.creation.icosphere(radius=0.05))
     behind = np.eye(4)
     behind[2, 3] = -0.5
-    degenerate = Triangles(np.zeros((3, 3)) + [0, 0, 1], np.array([[0, 1, 2]], np.int32))
+    degenerate = Triangles(np.full((3, 3), 0.5), np.array([[0, 1, 2]], np.int32))
     image = rasterise([mesh, degenerate], np.stack([behind, np.eye(4)]), CAMERA)
     assert not np.isfinite(image.depth).any()
     assert np.isinf(rasterise([], np.zeros((0, 4, 4)), CAMERA).depth).all()
