@@ -1,0 +1,312 @@
+"""Trying grasps in physics: the verdict that synthesis and evaluation trust.
+
+One trial: the hand starts at the pre-grasp around the floating object, ramps its position servos to the grasp and on to
+the squeeze, and then the object is pulled along each of its own axes, both ways. It fails the moment the object has
+moved or turned too far from where it started.
+
+A trial is a pure function of (hand, object, one grasp, protocol): every trial starts from `mj_resetData`, and runs
+in one thread, so the verdict of a grasp has the same bits whatever is tried before it or beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import mujoco
+import numpy as np
+
+from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.sim.build import (
+    OBJECT_BODY,
+    OBJECT_JOINT,
+    contact_friction,
+    grasp_model,
+    joint_name,
+    leaders,
+    object_mass,
+)
+from neuralgrasps.sim.protocols import Protocol, get_protocol
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_DIRECTIONS_O = np.concatenate([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]]  # +x, -x, +y, -y, +z, -z
+
+
+class Phase(StrEnum):
+    """What the trial is doing."""
+
+    START = "start"
+    GRASP = "grasp"
+    SQUEEZE = "squeeze"
+    HOLD = "hold"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialOutcome:
+    """How one trial ended.
+
+    Attributes:
+        success: the object was held throughout.
+        displacement_m, rotation_rad: largest motion of the object's centre of mass and orientation seen since the start
+            (until the failing check, when it failed); nan when the grasp was rejected at its start or diverged.
+        start_penetration_m: deepest overlap of hand and object at the pre-grasp, 0 when they are apart.
+        held: number of the six forces withstood.
+    """
+
+    success: bool
+    displacement_m: float
+    rotation_rad: float
+    start_penetration_m: float
+    held: int
+
+
+Observer = Callable[[Phase, int, mujoco.MjData], None]
+
+
+class GraspTrial:
+    """The compiled model of one hand and one object, ready to try any number of grasps.
+
+    Not thread-safe: it owns one simulation state. Use one per process.
+    """
+
+    def __init__(self, hand: Hand, obj: ObjectModel, protocol: str | Protocol) -> None:
+        self.hand = hand
+        self.obj = obj
+        self.protocol = get_protocol(protocol)
+        self.model = grasp_model(hand, obj, self.protocol)
+        self.data = mujoco.MjData(self.model)
+        tree = hand.tree
+        self._links = np.array([i for i in range(1, tree.num_links) if tree.joint_types[i]], np.int64)
+        self._joint_qpos = np.array([self.model.joint(joint_name(i)).qposadr[0] for i in self._links], np.int64)
+        links, self._gain, self._offset = leaders(hand)
+        self._leader_qpos = np.array([self.model.joint(joint_name(i)).qposadr[0] for i in links], np.int64)
+        self._object_qpos = int(self.model.joint(OBJECT_JOINT).qposadr[0])
+        self._body = int(self.model.body(OBJECT_BODY).id)
+        self._squeezed = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
+        self._start_centre = np.zeros(3)
+        self._start_rotation = np.eye(3)
+        self._worst = np.zeros(2)
+
+    def run(
+        self,
+        X_OH: np.ndarray,
+        q_pregrasp: np.ndarray,
+        q: np.ndarray,
+        q_squeeze: np.ndarray,
+        *,
+        observe: Observer | None = None,
+    ) -> TrialOutcome:
+        """Try one grasp.
+
+        Args:
+            X_OH: (4, 4) hand base in the object frame. q_pregrasp, q, q_squeeze: (J,) rad or metres; `q_squeeze`
+                is a servo target, so it may lie inside the object or beyond the joint limits.
+            observe: called at the start and at every check with the phase, the index of the force (-1 before
+                the first) and the state.
+        """
+        protocol = self.protocol
+        penetration = self._reset(X_OH, q_pregrasp)
+        if observe:
+            observe(Phase.START, -1, self.data)
+        if not penetration <= protocol.max_start_penetration_m:
+            return self._outcome(success=False, penetration=penetration, held=0, rejected=True)
+        closed = self._drive(q_pregrasp, q, Phase.GRASP, observe) and self._drive(q, q_squeeze, Phase.SQUEEZE, observe)
+        if not closed:
+            return self._outcome(success=False, penetration=penetration, held=0)
+        held = self._hold_all(observe)
+        return self._outcome(success=held == len(_DIRECTIONS_O), penetration=penetration, held=held)
+
+    def joint_values(self, data: mujoco.MjData) -> np.ndarray:
+        """Independent joint positions q (J,) in this state, rad or metres."""
+        return (data.qpos[self._leader_qpos] - self._offset) / self._gain
+
+    def object_pose(self, data: mujoco.MjData) -> np.ndarray:
+        """X_HO (4, 4) in this state."""
+        X_HO = np.eye(4)
+        at = self._object_qpos
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, data.qpos[at + 3 : at + 7])
+        X_HO[:3, :3] = rotation.reshape(3, 3)
+        X_HO[:3, 3] = data.qpos[at : at + 3]
+        return X_HO
+
+    def _reset(self, X_OH: np.ndarray, q: np.ndarray) -> float:
+        """Put hand and object at the pre-grasp; returns their deepest overlap, metres."""
+        model, data = self.model, self.data
+        mujoco.mj_resetData(model, data)
+        X_HO = inverse_np(np.asarray(X_OH, np.float64))
+        at = self._object_qpos
+        data.qpos[at : at + 3] = X_HO[:3, 3]
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(X_HO[:3, :3]).ravel())
+        data.qpos[at + 3 : at + 7] = quaternion
+        data.qpos[self._joint_qpos] = self.hand.tree.joint_positions(np.asarray(q, np.float64))[self._links]
+        data.ctrl[:] = self._control(q)
+        mujoco.mj_forward(model, data)
+        self._start_centre = data.xipos[self._body].copy()
+        self._start_rotation = data.xmat[self._body].reshape(3, 3).copy()
+        self._worst[:] = 0.0
+        return max(0.0, -float(data.contact.dist.min())) if data.ncon else 0.0
+
+    def _control(self, q: np.ndarray) -> np.ndarray:
+        """Servo targets: the actuators measure q + offset / gain."""
+        return np.asarray(q, np.float64) + self._offset / self._gain
+
+    def _drive(self, q_from: np.ndarray, q_to: np.ndarray, phase: Phase, observe: Observer | None) -> bool:
+        """Ramp the targets in equal steps, one per check; False as soon as the object is lost."""
+        start, end = self._control(q_from), self._control(q_to)
+        checks = self._checks(self.protocol.drive_s)
+        for i in range(checks):
+            self.data.ctrl[:] = start + (i + 1) / checks * (end - start)
+            if not self._advance(phase, -1, observe):
+                return False
+        return True
+
+    def _hold_all(self, observe: Observer | None) -> int:
+        """Pull along the object's six directions; returns how many were withstood before the first failure."""
+        model, data, protocol = self.model, self.data, self.protocol
+        mujoco.mj_getState(model, data, self._squeezed, _STATE)
+        force = protocol.force_per_mass * object_mass(self.obj, protocol)
+        for direction, axis_O in enumerate(_DIRECTIONS_O):
+            if direction and protocol.from_reset:
+                mujoco.mj_setState(model, data, self._squeezed, _STATE)
+            # constant in the world, like gravity: along the axes the object had at the start
+            data.xfrc_applied[self._body, :3] = force * (self._start_rotation @ axis_O)
+            for _ in range(self._checks(protocol.hold_s)):
+                if not self._advance(Phase.HOLD, direction, observe):
+                    return direction
+        return len(_DIRECTIONS_O)
+
+    def _checks(self, seconds: float) -> int:
+        return max(1, round(seconds / (self.protocol.timestep_s * self.protocol.check_every)))
+
+    def _advance(self, phase: Phase, direction: int, observe: Observer | None) -> bool:
+        """Step to the next check; True while the object is where it should be."""
+        mujoco.mj_step(self.model, self.data, nstep=self.protocol.check_every)
+        if observe:
+            observe(phase, direction, self.data)
+        moved = self.data.xipos[self._body] - self._start_centre
+        trace = float(np.vdot(self._start_rotation, self.data.xmat[self._body]))
+        displacement = float(np.sqrt(moved @ moved))
+        rotation = float(np.arccos(min(1.0, max(-1.0, (trace - 1.0) / 2.0))))
+        self._worst[0] = max(self._worst[0], displacement)
+        self._worst[1] = max(self._worst[1], rotation)
+        # written so that a diverged (nan) state is lost, not held
+        return displacement <= self.protocol.max_displacement_m and rotation <= self.protocol.max_rotation_rad
+
+    def _outcome(self, *, success: bool, penetration: float, held: int, rejected: bool = False) -> TrialOutcome:
+        displacement, rotation = (np.nan, np.nan) if rejected else self._worst
+        return TrialOutcome(
+            success=success,
+            displacement_m=float(displacement),
+            rotation_rad=float(rotation),
+            start_penetration_m=penetration,
+            held=held,
+        )
+
+
+def validate_grasps(
+    hand: Hand,
+    obj: ObjectModel,
+    grasps: GraspSet,
+    protocol: str | Protocol = "dexgraspbench",
+    *,
+    stop_after: int | None = None,
+) -> Verdict:
+    """Try grasps in physics, in order.
+
+    Args:
+        hand, obj: what `grasps` was made for.
+        grasps: N grasps; uses `X_OH`, `q_pregrasp`, `q`, `q_squeeze`.
+        protocol: preset name or protocol.
+        stop_after: stop after this many successes. The verdict then has one row per grasp *tried*: it belongs to
+            `grasps[:len(verdict.success)]`.
+    Returns:
+        The verdict; its parameters state mass, friction, force and torque limits.
+    Raises:
+        InputError: `grasps` is of another hand or object. ShapeError: wrong number of joints.
+        UnknownNameError: no such preset.
+    """
+    protocol = get_protocol(protocol)
+    _check_pair(hand, obj, grasps)
+    outcomes: list[TrialOutcome] = []
+    trial = GraspTrial(hand, obj, protocol)
+    wins = 0
+    for i in range(len(grasps)):
+        if stop_after is not None and wins >= stop_after:
+            break
+        outcome = trial.run(grasps.X_OH[i], grasps.q_pregrasp[i], grasps.q[i], grasps.q_squeeze[i])
+        wins += outcome.success
+        outcomes.append(outcome)
+    return Verdict(
+        success=np.array([o.success for o in outcomes], bool),
+        displacement_m=np.array([o.displacement_m for o in outcomes], np.float64),
+        rotation_rad=np.array([o.rotation_rad for o in outcomes], np.float64),
+        parameters=verdict_parameters(hand, obj, protocol),
+    )
+
+
+def prescreen(
+    hand: Hand,
+    obj: ObjectModel,
+    grasps: GraspSet,
+    protocol: str | Protocol = "dexgraspbench",
+    *,
+    hold_s: float = 0.2,
+) -> np.ndarray:
+    """Which grasps are worth a full trial: the same trial with each force held for `hold_s` only.
+
+    Drop what it rejects; never accept what it passes. It runs the first part of the full trial, step for step, so with
+    `from_reset` protocols nothing it drops can pass: its recall is 1 by construction.
+
+    Returns:
+        (N,) bool, True = keep.
+    """
+    protocol = get_protocol(protocol)
+    if not protocol.from_reset:
+        raise InputError(
+            f"protocol '{protocol.name}' does not restart each force from the squeeze; it has no pre-screen."
+        )
+    return validate_grasps(hand, obj, grasps, replace(protocol, hold_s=min(hold_s, protocol.hold_s))).success
+
+
+def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -> dict[str, float]:
+    """Every number a success rate must be quoted with, SI units, unit in the key."""
+    protocol = get_protocol(protocol)
+    mass = object_mass(obj, protocol)
+    sliding, torsional, rolling = contact_friction(obj, protocol)
+    effort = hand.tree.effort
+    return {
+        "mass_kg": mass,
+        "friction": sliding,
+        "torsional_friction_m": torsional,
+        "rolling_friction_m": rolling,
+        "force_n": mass * protocol.force_per_mass,
+        "force_per_mass_m_s2": protocol.force_per_mass,
+        "min_joint_effort": float(effort.min()),
+        "max_joint_effort": float(effort.max()),
+        "drive_s": protocol.drive_s,
+        "hold_s": protocol.hold_s,
+        "max_displacement_m": protocol.max_displacement_m,
+        "max_rotation_rad": protocol.max_rotation_rad,
+        "max_start_penetration_m": protocol.max_start_penetration_m,
+        "timestep_s": protocol.timestep_s,
+        "revolute_kp": protocol.revolute.kp,
+        "prismatic_kp": protocol.prismatic.kp,
+    }
+
+
+def _check_pair(hand: Hand, obj: ObjectModel, grasps: GraspSet) -> None:
+    if grasps.hand != hand.name or grasps.object != obj.name:
+        raise InputError(
+            f"these grasps are of hand '{grasps.hand}' on object '{grasps.object}'; "
+            f"got hand '{hand.name}' and object '{obj.name}'. Load the pair that the grasps were made for."
+        )
+    check_shape("X_OH", grasps.X_OH.shape, (4, 4))
+    for name in ("q", "q_pregrasp", "q_squeeze"):
+        hand.check_q(getattr(grasps, name))
