@@ -1,0 +1,158 @@
+"""Points on surfaces, and even subsets of points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from neuralgrasps.errors import InputError, MeshError, ShapeError
+from neuralgrasps.geometry.mesh_topology import Mesh, face_areas_normals
+
+FloatArray = NDArray[np.float64]
+IndexArray = NDArray[np.int64]
+
+
+def farthest_points(points: ArrayLike, count: int, *, start: int = 0) -> IndexArray:
+    """Indices (count,) of points, each the farthest from all chosen before it; deterministic, ties to the lowest index.
+
+    Args:
+        points: (N, D).
+        count: how many, 1 <= count <= N.
+        start: index of the first one.
+    Raises:
+        ShapeError, InputError: `points` is not (N, D), or `count` or `start` does not fit N.
+    """
+    p = np.asarray(points)
+    if p.ndim != 2:
+        raise ShapeError(f"points has shape {p.shape}; expected (N, D).")
+    if not 1 <= count <= len(p):
+        raise InputError(f"count is {count}; expected 1 to the number of points, {len(p)}.")
+    if not 0 <= start < len(p):
+        raise InputError(f"start is {start}; expected an index below {len(p)}.")
+    columns = np.ascontiguousarray(p.T, dtype=np.float64)
+    if columns.shape[0] == 3:
+        return _farthest_points_3d(columns[0], columns[1], columns[2], count, start)
+    return _farthest_points(columns, count, start)
+
+
+@njit(cache=True, error_model="numpy")
+def _farthest_points_3d(x, y, z, count, start):  # type: ignore[no-untyped-def]
+    n = x.shape[0]
+    chosen = np.empty(count, dtype=np.int64)
+    nearest = np.full(n, np.inf)
+    last = start
+    chosen[0] = last
+    for c in range(1, count):
+        px, py, pz = x[last], y[last], z[last]
+        for i in range(n):
+            dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz
+            nearest[i] = min(nearest[i], dx * dx + dy * dy + dz * dz)
+        last = _argmax(nearest)
+        chosen[c] = last
+    return chosen
+
+
+@njit(cache=True, error_model="numpy")
+def _farthest_points(columns, count, start):  # type: ignore[no-untyped-def]
+    dims, n = columns.shape
+    chosen = np.empty(count, dtype=np.int64)
+    nearest = np.full(n, np.inf)
+    squared = np.empty(n)
+    last = start
+    chosen[0] = last
+    for c in range(1, count):
+        squared[:] = 0.0
+        for d in range(dims):
+            value = columns[d, last]
+            for i in range(n):
+                squared[i] += (columns[d, i] - value) ** 2
+        for i in range(n):
+            nearest[i] = min(nearest[i], squared[i])
+        last = _argmax(nearest)
+        chosen[c] = last
+    return chosen
+
+
+@njit(cache=True, error_model="numpy")
+def _argmax(values):  # type: ignore[no-untyped-def]
+    best = 0
+    for i in range(values.shape[0]):
+        if values[i] > values[best]:
+            best = i
+    return best
+
+
+def sample_surface(mesh: Mesh, count: int, seed: int) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
+    """Points drawn uniformly over the area: (count, 3) points, (count, 3) face normals, (count,) face indices."""
+    areas, normals = face_areas_normals(mesh)
+    total = np.cumsum(areas)
+    if not len(total) or not total[-1] > 0:
+        raise MeshError("sample_surface: the mesh has no area.")
+    rng = np.random.default_rng(seed)
+    face = np.searchsorted(total, rng.random(count) * total[-1], side="right")
+    face = np.minimum(face, len(areas) - 1).astype(np.int32)
+    u, v = rng.random((2, count))
+    root = np.sqrt(u)[:, None]
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[face]], 1, 0)
+    points = (1 - root) * a + root * (1 - v[:, None]) * b + root * v[:, None] * c
+    return points, normals[face], face
+
+
+def even_surface_points(mesh: Mesh, spacing: float, seed: int) -> tuple[FloatArray, FloatArray, NDArray[np.int32]]:
+    """Points spread evenly, about `spacing` apart: no two closer than 0.7 spacing, no surface farther than about it.
+
+    Returns:
+        (K, 3) points, (K, 3) face normals, (K,) face indices; at least one point.
+    """
+    if not spacing > 0:
+        raise InputError(f"spacing is {spacing}; expected a positive length in metres.")
+    area = float(face_areas_normals(mesh)[0].sum())
+    pool = max(64, math.ceil(20 * area / spacing**2))
+    points, normals, face = sample_surface(mesh, pool, seed)
+    chosen = _thin(points, 0.7 * spacing)
+    return points[chosen], normals[chosen], face[chosen]
+
+
+def _thin(points: FloatArray, distance: float) -> IndexArray:
+    """Indices of a maximal subset, greedy in the given order, in which no two points are closer than `distance`."""
+    cells = np.floor((points - points.min(axis=0)) / distance).astype(np.int64)
+    return np.flatnonzero(_thin_kernel(points, cells, distance))
+
+
+@njit(cache=True, error_model="numpy")
+def _thin_kernel(points, cells, distance):  # type: ignore[no-untyped-def]
+    """Dart throwing on a hash grid of the accepted points."""
+    n = points.shape[0]
+    size = 1
+    while size < 2 * n:
+        size *= 2
+    head = np.full(size, -1, dtype=np.int64)
+    following = np.full(n, -1, dtype=np.int64)
+    keep = np.zeros(n, dtype=np.bool_)
+    limit = distance * distance
+    for p in range(n):
+        free = True
+        for di in range(-1, 2):
+            for dj in range(-1, 2):
+                for dk in range(-1, 2):
+                    q = head[_hash(cells[p, 0] + di, cells[p, 1] + dj, cells[p, 2] + dk, size)]
+                    while q >= 0 and free:
+                        dx = points[p, 0] - points[q, 0]
+                        dy = points[p, 1] - points[q, 1]
+                        dz = points[p, 2] - points[q, 2]
+                        free = dx * dx + dy * dy + dz * dz >= limit
+                        q = following[q]
+        if free:
+            keep[p] = True
+            slot = _hash(cells[p, 0], cells[p, 1], cells[p, 2], size)
+            following[p] = head[slot]
+            head[slot] = p
+    return keep
+
+
+@njit(cache=True, error_model="numpy")
+def _hash(i, j, k, size):  # type: ignore[no-untyped-def]
+    return ((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (size - 1)
