@@ -89,9 +89,9 @@ def grasp_wrenches(points, normals, com, friction, edges=8, torsion=0.0, length=
     """Wrenches on the object of every friction-cone edge, callable from numba and from Python.
 
     Each edge is f = -n + friction (cos a u + sin a v), torque (p - com) x f / length. With `torsion` > 0 each contact
-    is a soft finger: two more wrenches, the unit normal force with +-torsion of pure torque about the normal, are added,
-    so that friction and torsion share the limit |f_t| / friction + |m| / torsion <= f_n (the polyhedral inner bound of
-    the elliptic limit surface).
+    is a soft finger: two more wrenches, the unit normal force with +-torsion of pure torque about the normal, are
+    added, so that friction and torsion share the limit |f_t| / friction + |m| / torsion <= f_n (the polyhedral inner
+    bound of the elliptic limit surface).
 
     Args:
         points: (C, 3) float64 contacts, object frame, metres; normals: (C, 3) unit, outward from the object.

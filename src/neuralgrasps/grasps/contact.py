@@ -1,0 +1,109 @@
+"""Where a posed hand touches an object."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
+
+THRESHOLD_M = 2.5e-3
+MAX_PER_LINK = 3
+MIN_SEPARATION_M = 1.0e-3  # nearer points of one link count as one contact
+
+
+@njit(cache=True, error_model="numpy")
+def link_pose_in_object(X_OH, X_HL, link, out):
+    """out (3, 4) = X_OH @ X_HL[link], upper three rows."""
+    for r in range(3):
+        for c in range(4):
+            out[r, c] = X_OH[r, 0] * X_HL[link, 0, c] + X_OH[r, 1] * X_HL[link, 1, c] + X_OH[r, 2] * X_HL[link, 2, c]
+        out[r, 3] += X_OH[r, 3]
+
+
+@njit(cache=True, error_model="numpy")
+def _touching_points(values, origin, inv_spacing, packed, X, link, threshold, points, normals):
+    """Points of a link nearer than `threshold`, projected on the object, the nearest first; returns how many."""
+    count, nearest, closest = 0, 0, np.inf
+    for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
+        p = packed.point_L[k]
+        x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
+        y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
+        z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+        if grid_distance(values, origin, inv_spacing, x, y, z) > threshold:
+            continue
+        d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, x, y, z)
+        size = math.sqrt(gx * gx + gy * gy + gz * gz)
+        if size < 0.1:  # deep inside, on the medial axis: no direction to the surface
+            continue
+        gx, gy, gz = gx / size, gy / size, gz / size
+        points[count, 0], points[count, 1], points[count, 2] = x - d * gx, y - d * gy, z - d * gz
+        normals[count, 0], normals[count, 1], normals[count, 2] = gx, gy, gz
+        if d < closest:
+            nearest, closest = count, d
+        count += 1
+    for k in range(3):
+        points[0, k], points[nearest, k] = points[nearest, k], points[0, k]
+        normals[0, k], normals[nearest, k] = normals[nearest, k], normals[0, k]
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def find_contacts(
+    sdf_values, origin, inv_spacing, packed, X_OH, X_HL, threshold, max_per_link, out_points, out_normals, out_links
+):
+    """Contacts of one posed hand: per link at most `max_per_link` far-apart points, nearest first.
+
+    Args:
+        sdf_values (nx, ny, nz), origin (3,), inv_spacing: the object's `SdfGrid`, metres.
+        packed: `PackedHand`; X_OH: (4, 4); X_HL: (L, 4, 4) link poses.
+        threshold: metres; hand surface points nearer to the object (or inside it) touch.
+        max_per_link: points kept per link, by farthest point sampling from the link's nearest point.
+        out_points, out_normals: (>= max contacts, 3) float64, written: contact on the object's surface and the outward
+            unit normal there (gradient of the distance), object frame. out_links: int32, written: the link.
+    Returns:
+        the number of contacts; stops early when the outputs are full.
+    """
+    links = packed.link_radius.shape[0]
+    longest = 1
+    for link in range(links):
+        longest = max(longest, packed.link_point_start[link + 1] - packed.link_point_start[link])
+    points, normals, gap = np.empty((longest, 3)), np.empty((longest, 3)), np.empty(longest)
+    X = np.empty((3, 4))
+    total = 0
+    for link in range(links):
+        if packed.link_point_start[link] == packed.link_point_start[link + 1]:
+            continue
+        link_pose_in_object(X_OH, X_HL, link, X)
+        c = packed.link_centre[link]
+        x = X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3]
+        y = X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3]
+        z = X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3]
+        reach = packed.link_radius[link] + threshold + 1.0 / inv_spacing
+        if grid_distance(sdf_values, origin, inv_spacing, x, y, z) > reach:
+            continue
+        count = _touching_points(sdf_values, origin, inv_spacing, packed, X, link, threshold, points, normals)
+        for i in range(count):
+            gap[i] = np.inf
+        chosen = 0
+        for _ in range(min(count, max_per_link)):
+            if total >= len(out_links):
+                return total
+            for k in range(3):
+                out_points[total, k] = points[chosen, k]
+                out_normals[total, k] = normals[chosen, k]
+            out_links[total] = link
+            farthest, last = 0.0, chosen
+            for i in range(count):
+                squared = 0.0
+                for k in range(3):
+                    squared += (points[i, k] - points[last, k]) ** 2
+                gap[i] = min(gap[i], squared)
+                if gap[i] > farthest:
+                    farthest, chosen = gap[i], i
+            total += 1
+            if farthest < MIN_SEPARATION_M * MIN_SEPARATION_M:
+                break
+    return total
