@@ -14,7 +14,14 @@ from neuralgrasps.geometry.mesh_topology import (
     merge_meshes,
     vertex_normals,
 )
-from neuralgrasps.geometry.primitives import box_mesh, capsule_mesh, convex_hull, cylinder_mesh, sphere_mesh
+from neuralgrasps.geometry.primitives import (
+    box_mesh,
+    capsule_mesh,
+    convex_hull,
+    cylinder_mesh,
+    hull_planes,
+    sphere_mesh,
+)
 
 __all__ = [
     "LengthUnit",
@@ -28,6 +35,7 @@ __all__ = [
     "convex_hull",
     "cylinder_mesh",
     "face_areas_normals",
+    "hull_planes",
     "is_closed",
     "is_manifold",
     "load_mesh",

@@ -59,7 +59,7 @@ def load_mesh(path: str | Path, *, unit: LengthUnit = "auto") -> LoadedMesh:
 def repair_mesh(
     vertices: NDArray[Any], faces: NDArray[Any], *, unit: LengthUnit = "m", source: str = "mesh"
 ) -> LoadedMesh:
-    """Repair raw arrays (V, 3), (F, 3): units, bad vertices, seams, useless faces, winding; `source` names it in errors."""
+    """Repair raw arrays (V, 3), (F, 3): units, bad vertices, seams, faces, winding; `source` names it in errors."""
     repairs: list[str] = []
     v, f = np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
     if not len(v) or not len(f):

@@ -82,3 +82,17 @@ def convex_hull(points: ArrayLike) -> tuple[FloatArray, NDArray[np.int32]]:
     index = np.zeros(len(p), dtype=np.int32)
     index[used] = np.arange(len(used), dtype=np.int32)
     return p[used], index[triangles]
+
+
+def hull_planes(vertices: ArrayLike, faces: ArrayLike) -> FloatArray:
+    """Distinct face planes of a convex mesh: (P, 4) rows (n, d), n unit and outward, n . x + d <= 0 inside."""
+    v, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces)
+    a, b, c = (v[f[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1)
+    solid = length > 1e-9 * length.max()
+    normal = cross[solid] / length[solid, None]
+    offset = -np.einsum("ij,ij->i", normal, a[solid])
+    extent = max(float(np.ptp(v, axis=0).max()), 1e-12)
+    _, first = np.unique(np.round(np.column_stack([normal, offset / extent]), 9), axis=0, return_index=True)
+    return np.column_stack([normal, offset])[np.sort(first)]

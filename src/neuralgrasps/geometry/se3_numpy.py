@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 def make_transform_np(rotation: ArrayLike | None = None, translation: ArrayLike | None = None) -> Array:
-    """(..., 4, 4) float64 transform of a (..., 3, 3) rotation (default identity) and a (..., 3) translation (default 0)."""
+    """(..., 4, 4) float64 transform of a (..., 3, 3) rotation (else identity) and a (..., 3) translation (else 0)."""
     R = np.eye(3) if rotation is None else np.asarray(rotation, dtype=np.float64)
     t = np.zeros(3) if translation is None else np.asarray(translation, dtype=np.float64)
     check_shape("rotation", R.shape, (3, 3))
