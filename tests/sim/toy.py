@@ -7,7 +7,7 @@ import numpy as np
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.grasps.grasp_set import GraspSet
-from neuralgrasps.hands.hand import ConvexPart, Finger, Hand, PartKind
+from neuralgrasps.hands.hand import ConvexPart, Hand, PartKind
 from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, KinematicTree
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.symmetry import SymmetryGroup
@@ -18,8 +18,11 @@ CLOSED = 0.02  # jaw position at which the pads touch the box's x faces
 
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4]]
-    + [[1, 5, 7], [1, 7, 3]],
+    [
+        *([0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5]),
+        *([0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6]),
+        *([0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]),
+    ],
     np.int32,
 )
 
@@ -96,7 +99,7 @@ def toy_box(*, centre: tuple[float, float, float] = (0.0, 0.0, 0.0), mass_kg: fl
 
 
 def toy_grasps(hand: Hand, centres_H: np.ndarray, *, obj: ObjectModel, squeeze_m: float = 0.01) -> GraspSet:
-    """Grasps of an upright box whose centre is at `centres_H` (N, 3) in the hand; (0, 0, 0.1) is centred on the pads."""
+    """Grasps of an upright box whose centre is at `centres_H` (N, 3) in the hand; (0, 0, 0.1) is central."""
     count, dofs = len(centres_H), hand.num_dofs
     gain = hand.tree.coupling.max()
     X_OH = np.tile(np.eye(4), (count, 1, 1))

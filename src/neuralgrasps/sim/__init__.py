@@ -1,0 +1,4 @@
+"""Physics: whether a grasp holds.
+
+`protocols` states the conditions and needs no simulator; `grasp_trial` needs MuJoCo.
+"""

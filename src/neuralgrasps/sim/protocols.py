@@ -49,7 +49,7 @@ class Protocol:
         max_start_penetration_m: deepest overlap of hand and object allowed at the pre-grasp.
         check_every: steps between checks.
         revolute, prismatic: servos.
-        timestep_s, noslip_iterations, solref, solimp, impratio, solver_iterations, multiccd: MuJoCo settings of that name.
+        timestep_s, noslip_iterations, solref, solimp, impratio, solver_iterations, multiccd: MuJoCo settings.
     """
 
     name: str
