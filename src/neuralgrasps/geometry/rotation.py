@@ -1,7 +1,7 @@
 """Rotations in torch: (..., 3, 3) matrices, differentiable, any leading batch axes, dtype and device of the input.
 
-Rotation vectors and angles are in radians. Quaternions are wxyz and meant for files. exp and log keep full precision near the
-identity and near half a turn.
+Rotation vectors and angles are in radians. Quaternions are wxyz and meant for files. exp and log keep full precision
+near the identity and near half a turn.
 """
 
 from __future__ import annotations

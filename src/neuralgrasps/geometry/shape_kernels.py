@@ -19,7 +19,7 @@ def box_sdf(x, y, z, hx, hy, hz):  # type: ignore[no-untyped-def]
     ox = max(dx, 0.0)
     oy = max(dy, 0.0)
     oz = max(dz, 0.0)
-    return math.sqrt(ox * ox + oy * oy + oz * oz) + min(max(dx, max(dy, dz)), 0.0)
+    return math.sqrt(ox * ox + oy * oy + oz * oz) + min(max(dx, dy, dz), 0.0)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -45,49 +45,50 @@ def cylinder_sdf(x, y, z, radius, half_height):  # type: ignore[no-untyped-def]
     return math.sqrt(orr * orr + oz * oz) + min(max(dr, dz), 0.0)
 
 
-@njit(cache=True, error_model="numpy")
-def segment_distance_squared(x, y, z, a, b):  # type: ignore[no-untyped-def]
-    """Squared distance from (x, y, z) to the segment between a (3,) and b (3,), which may coincide."""
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    px, py, pz = x - a[0], y - a[1], z - a[2]
+@njit(cache=True, inline="always", error_model="numpy")
+def segment_distance_squared(px, py, pz, ux, uy, uz):  # type: ignore[no-untyped-def]
+    """Squared distance from p to the segment from the origin to u, which may have no length."""
     length = ux * ux + uy * uy + uz * uz
     t = 0.0
     if length > 0.0:
         t = min(max((px * ux + py * uy + pz * uz) / length, 0.0), 1.0)
-    dx, dy, dz = px - t * ux, py - t * uy, pz - t * uz
+    dx = px - t * ux
+    dy = py - t * uy
+    dz = pz - t * uz
     return dx * dx + dy * dy + dz * dz
 
 
 @njit(cache=True, error_model="numpy")
-def triangle_distance_squared(x, y, z, triangle):  # type: ignore[no-untyped-def]
-    """Squared distance from (x, y, z) to a triangle (3, 3), which may be a sliver.
+def triangle_distance_squared(x, y, z, triangles, i):  # type: ignore[no-untyped-def]
+    """Squared distance from (x, y, z) to triangle i of (T, 3, 3), which may be a sliver.
 
     The foot on the plane if it falls inside, else the nearest edge.
     """
-    a, b, c = triangle[0], triangle[1], triangle[2]
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    ax, ay, az = triangles[i, 0, 0], triangles[i, 0, 1], triangles[i, 0, 2]
+    ux, uy, uz = triangles[i, 1, 0] - ax, triangles[i, 1, 1] - ay, triangles[i, 1, 2] - az
+    vx, vy, vz = triangles[i, 2, 0] - ax, triangles[i, 2, 1] - ay, triangles[i, 2, 2] - az
+    px, py, pz = x - ax, y - ay, z - az
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     nn = nx * nx + ny * ny + nz * nz
-    px, py, pz = x - a[0], y - a[1], z - a[2]
     if nn > 0.0:
-        # Barycentric weights of b and c, times nn: n . (p x v) and n . (u x p).
+        # Barycentric weights of corners 1 and 2, times nn: n . (p x v) and n . (u x p).
         wb = nx * (py * vz - pz * vy) + ny * (pz * vx - px * vz) + nz * (px * vy - py * vx)
         wc = nx * (uy * pz - uz * py) + ny * (uz * px - ux * pz) + nz * (ux * py - uy * px)
         if wb >= 0.0 and wc >= 0.0 and wb + wc <= nn:
             height = px * nx + py * ny + pz * nz
             return height * height / nn
-    return min(
-        segment_distance_squared(x, y, z, a, b),
-        min(segment_distance_squared(x, y, z, b, c), segment_distance_squared(x, y, z, c, a)),
-    )
+    ab = segment_distance_squared(px, py, pz, ux, uy, uz)
+    ac = segment_distance_squared(px, py, pz, vx, vy, vz)
+    bc = segment_distance_squared(px - ux, py - uy, pz - uz, vx - ux, vy - uy, vz - uz)
+    return min(ab, ac, bc)
 
 
 @njit(cache=True, error_model="numpy")
 def convex_sdf(x, y, z, planes, triangles):  # type: ignore[no-untyped-def]
     """Convex polytope: planes (P, 4) with n . x + d <= 0 inside, n unit length; triangles (T, 3, 3) wound outward.
 
-    Inside it is the largest plane distance; outside the distance to the nearest triangle that faces the point.
+    Inside it is the largest plane distance; outside the distance to the nearest triangle. A triangle whose plane is
+    behind the point, or farther than the best so far, is skipped; a foot inside a facing triangle is the nearest point.
     """
     deepest = -math.inf
     for i in range(planes.shape[0]):
@@ -96,18 +97,23 @@ def convex_sdf(x, y, z, planes, triangles):  # type: ignore[no-untyped-def]
         return deepest
     nearest = math.inf
     for i in range(triangles.shape[0]):
-        if faces_point(x, y, z, triangles[i]):
-            nearest = min(nearest, triangle_distance_squared(x, y, z, triangles[i]))
-    if nearest == math.inf:  # on the surface to rounding, and no triangle faces it
+        ax, ay, az = triangles[i, 0, 0], triangles[i, 0, 1], triangles[i, 0, 2]
+        ux, uy, uz = triangles[i, 1, 0] - ax, triangles[i, 1, 1] - ay, triangles[i, 1, 2] - az
+        vx, vy, vz = triangles[i, 2, 0] - ax, triangles[i, 2, 1] - ay, triangles[i, 2, 2] - az
+        px, py, pz = x - ax, y - ay, z - az
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        nn = nx * nx + ny * ny + nz * nz
+        height = px * nx + py * ny + pz * nz
+        if height <= 0.0 or height * height >= nearest * nn:
+            continue
+        wb = nx * (py * vz - pz * vy) + ny * (pz * vx - px * vz) + nz * (px * vy - py * vx)
+        wc = nx * (uy * pz - uz * py) + ny * (uz * px - ux * pz) + nz * (ux * py - uy * px)
+        if wb >= 0.0 and wc >= 0.0 and wb + wc <= nn:
+            return height / math.sqrt(nn)
+        ab = segment_distance_squared(px, py, pz, ux, uy, uz)
+        ac = segment_distance_squared(px, py, pz, vx, vy, vz)
+        bc = segment_distance_squared(px - ux, py - uy, pz - uz, vx - ux, vy - uy, vz - uz)
+        nearest = min(nearest, ab, ac, bc)
+    if nearest == math.inf:  # on the surface to rounding
         return deepest
     return math.sqrt(nearest)
-
-
-@njit(cache=True, error_model="numpy")
-def faces_point(x, y, z, triangle):  # type: ignore[no-untyped-def]
-    """Whether (x, y, z) is on the outer side of the triangle's plane, or in it."""
-    a, b, c = triangle[0], triangle[1], triangle[2]
-    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return nx * (x - a[0]) + ny * (y - a[1]) + nz * (z - a[2]) >= 0.0

@@ -1,8 +1,8 @@
 """Exact signed distances to simple solids in torch, differentiable in the points and the sizes.
 
-Solids are centred on the origin of their own frame, axis along z; metres, negative inside. Points are (..., 3) and sizes
-broadcast against the points' batch axes. Gradients are finite everywhere (zero where the distance has no direction, as at a
-sphere's centre).
+Solids are centred on the origin of their own frame, axis along z; metres, negative inside. Points are (..., 3) and
+sizes broadcast against the points' batch axes. Gradients are finite everywhere (zero where the distance has no
+direction, as at a sphere's centre).
 """
 
 from __future__ import annotations
