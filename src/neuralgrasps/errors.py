@@ -40,6 +40,10 @@ class DataFormatError(InputError):
     """A data file is corrupt, of another version, or not what its manifest says."""
 
 
+class StorageError(NeuralGraspsError, OSError):
+    """A file cannot be written: full disk, read-only folder, no permission."""
+
+
 class DownloadError(NeuralGraspsError, OSError):
     """A download could not be started, finished or verified."""
 

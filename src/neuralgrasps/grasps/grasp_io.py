@@ -1,0 +1,156 @@
+"""Grasp files: safetensors with a JSON description, checksummed, written whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from neuralgrasps.errors import DataFormatError, InputError, StorageError
+from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, array_fields
+
+FORMAT = "neuralgrasps.grasp_set"
+VERSION = 1
+_VERDICT_ARRAYS = ("success", "displacement_m", "rotation_rad")
+
+
+def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
+    """Write `grasps` to `path`, replacing what is there only once the new file is complete.
+
+    Returns:
+        the path written.
+    Raises:
+        StorageError: missing or read-only folder, full disk, no permission. An older file is left as it was.
+    """
+    path = Path(path)
+    arrays = {name: getattr(grasps, name) for name in array_fields()}
+    verdicts = []
+    for i, (name, verdict) in enumerate(grasps.verdicts.items()):
+        verdicts.append({"name": name, "parameters": dict(verdict.parameters)})
+        arrays |= {f"verdict.{i}.{key}": getattr(verdict, key) for key in _VERDICT_ARRAYS}
+    description = json.dumps(
+        {
+            "hand": grasps.hand,
+            "object": grasps.object,
+            "protocol": grasps.protocol,
+            "seed": grasps.seed,
+            "config": dict(grasps.config),
+            "verdicts": verdicts,
+        },
+        sort_keys=True,
+    )
+    metadata = {
+        "format": FORMAT,
+        "version": str(VERSION),
+        "description": description,
+        "sha256": _checksum(arrays, description),
+    }
+    _write_whole(path, save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata))
+    return path
+
+
+def load_grasps(path: str | os.PathLike[str]) -> GraspSet:
+    """Read a file written by `save_grasps`.
+
+    Raises:
+        InputError: the file is missing or cannot be read.
+        DataFormatError: it is not a grasp file, of another version, damaged, or its arrays do not fit together.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read grasps from '{path}': {error.strerror or error}; check the path.") from error
+    arrays, metadata = _parse(path, data)
+    description = metadata["description"]
+    if _checksum(arrays, description) != metadata.get("sha256"):
+        raise DataFormatError(f"'{path}' is damaged: its checksum does not match; write it again or fetch a new copy.")
+    try:
+        return _assemble(arrays, json.loads(description))
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataFormatError(f"'{path}' is not a consistent grasp file: {error}; write it again.") from error
+
+
+def _assemble(arrays: dict[str, np.ndarray], text: dict[str, Any]) -> GraspSet:
+    verdicts = {
+        entry["name"]: Verdict(
+            **{key: arrays[f"verdict.{i}.{key}"] for key in _VERDICT_ARRAYS}, parameters=entry["parameters"]
+        )
+        for i, entry in enumerate(text["verdicts"])
+    }
+    return GraspSet(
+        hand=text["hand"],
+        object=text["object"],
+        **{name: arrays[name] for name in array_fields()},
+        verdicts=verdicts,
+        protocol=text["protocol"],
+        seed=int(text["seed"]),
+        config=text["config"],
+    )
+
+
+def _parse(path: Path, data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Arrays and metadata of a file of our format and version."""
+    try:
+        arrays = load(data)
+        size = int.from_bytes(data[:8], "little")
+        metadata = json.loads(data[8 : 8 + size]).get("__metadata__") or {}
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise DataFormatError(f"'{path}' is not a grasp file or is damaged ({error}); expected safetensors.") from error
+    if metadata.get("format") != FORMAT:
+        raise DataFormatError(f"'{path}' holds {metadata.get('format', 'other data')!r}; expected {FORMAT!r}.")
+    if metadata.get("version") != str(VERSION):
+        raise DataFormatError(
+            f"'{path}' has grasp format version {metadata.get('version')}; this library reads version {VERSION}. "
+            "Use the library version that wrote it, or make the grasps again."
+        )
+    if "description" not in metadata:
+        raise DataFormatError(f"'{path}' lacks its description; write it again.")
+    return arrays, metadata
+
+
+def _checksum(arrays: dict[str, np.ndarray], description: str) -> str:
+    digest = hashlib.sha256(description.encode())
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """Write to a temporary neighbour, flush to disk, rename."""
+    temporary: Path | None = None
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        temporary = Path(name)
+        with os.fdopen(handle, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        umask = os.umask(0)
+        os.umask(umask)
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner can read
+        temporary.replace(path)
+    except OSError as error:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+        raise StorageError(f"cannot write '{path}': {_reason(error, path, len(data))}") from error
+
+
+def _reason(error: OSError, path: Path, size: int) -> str:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"the disk is full; free at least {size / 1e6:.1f} MB or choose another folder."
+    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+        return f"no permission to write in '{path.parent}'; choose a folder you may write to."
+    if error.errno == errno.ENOENT:
+        return f"the folder '{path.parent}' does not exist; create it first."
+    return f"{error.strerror or error}."
