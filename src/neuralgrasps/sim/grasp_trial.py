@@ -37,6 +37,12 @@ from neuralgrasps.sim.protocols import Protocol, get_protocol
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIRECTIONS_O = np.concatenate([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]]  # +x, -x, +y, -y, +z, -z
 _FIRST_ROUND_S = 0.2
+_DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,  # the engine replaces a target that is not finite by 0 and goes on
+)
 
 
 class Phase(StrEnum):
@@ -122,9 +128,10 @@ class GraspTrial:
                 and self._drive(q, q_squeeze, Phase.SQUEEZE, observe)
             )
             held = self._hold_all(observe) if closed else 0
-        displacement, rotation = (np.nan, np.nan) if rejected else self._worst
+        diverged = any(self.data.warning[kind].number for kind in _DIVERGED)
+        displacement, rotation = (np.nan, np.nan) if rejected or diverged else self._worst
         return TrialOutcome(
-            success=held == len(_DIRECTIONS_O),
+            success=held == len(_DIRECTIONS_O) and not diverged,
             displacement_m=float(displacement),
             rotation_rad=float(rotation),
             start_penetration_m=penetration,

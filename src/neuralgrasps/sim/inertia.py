@@ -12,8 +12,8 @@ from neuralgrasps.hands.hand import ConvexPart, PartKind
 def solid_inertia(vertices: np.ndarray, faces: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Inertia tensor of a uniform solid of mass 1, about `centre`, m^2.
 
-    Sums the tetrahedra between `centre` and each face, so small holes in a scan do little harm. When the faces do not
-    enclose a solid at all (the tensor is not one a body can have), the solid bounding box is used instead.
+    Sums the tetrahedra between `centre` and each face, so small holes in a scan do little harm. When the faces are
+    far from enclosing a solid (inside out, or a twentieth of the surface missing), the solid bounding box is used.
 
     Args:
         vertices: (V, 3) metres; faces: (F, 3) indices, outward.
@@ -28,7 +28,9 @@ def solid_inertia(vertices: np.ndarray, faces: np.ndarray, centre: np.ndarray) -
     total = corners.sum(axis=1)
     moments = np.einsum("f,fki,fkj->ij", six_volumes, corners, corners)
     moments = (moments + np.einsum("f,fi,fj->ij", six_volumes, total, total)) / 120
-    if volume > 0 and np.linalg.eigvalsh(moments / volume)[0] > 0:
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # (F, 3), sums to 0 when closed
+    missing = np.linalg.norm(areas.sum(axis=0)) / max(np.linalg.norm(areas, axis=1).sum(), 1e-300)
+    if missing < 0.05 and volume > 0 and np.linalg.eigvalsh(moments)[0] > 0:
         second = moments / volume
     else:
         extents = vertices.max(axis=0) - vertices.min(axis=0)

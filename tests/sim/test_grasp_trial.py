@@ -1,0 +1,195 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.sim.grasp_trial import GraspTrial, prescreen, validate_grasps
+from neuralgrasps.sim.protocols import Actuation, Protocol, get_protocol
+from neuralgrasps.sim.replay import trial_trajectory
+
+from .toy import CLOSED, toy_box, toy_grasps, toy_hand
+
+DEX = get_protocol("dexgraspbench")
+CENTRED = (0.0, 0.0, 0.1)
+BESIDE = (0.0, 0.05, 0.1)  # the pads close on air
+FAR = (0.0, 0.0, 0.3)
+IN_THE_PALM = (0.0, 0.0, 0.05)
+
+
+def _grasps(hand: Hand, box: ObjectModel, *centres: tuple[float, float, float], squeeze_m: float = 0.01) -> GraspSet:
+    return toy_grasps(hand, np.array(centres), obj=box, squeeze_m=squeeze_m)
+
+
+def test_antipodal_holds_and_an_empty_hand_does_not(hand: Hand, box: ObjectModel) -> None:
+    verdict = validate_grasps(hand, box, _grasps(hand, box, CENTRED, BESIDE, FAR))
+    assert verdict.success.tolist() == [True, False, False]
+    assert verdict.displacement_m[0] < 0.001
+    assert (verdict.displacement_m[1:] > DEX.max_displacement_m).all()
+
+
+def test_free_object_falls_as_newton_says(hand: Hand, box: ObjectModel) -> None:
+    """Without contact the check that fails is the first with g t^2 / 2 > 5 cm."""
+    recorded = trial_trajectory(hand, box, _grasps(hand, box, FAR))
+    falling = np.flatnonzero(recorded.force_direction == 0)
+    t = np.arange(1, len(falling) + 1) * DEX.timestep_s * DEX.check_every
+    moved = np.linalg.norm(recorded.X_HO[falling, :3, 3] - recorded.X_HO[0, :3, 3], axis=1)
+    np.testing.assert_allclose(moved, 0.5 * 10.0 * t * (t + DEX.timestep_s), rtol=1e-6)  # semi-implicit steps
+    assert recorded.outcome.held == 0 and not recorded.outcome.success
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.01])
+def test_nothing_holds_without_friction(hand: Hand, box: ObjectModel, friction: float) -> None:
+    slippery = replace(DEX, friction=friction, torsional_friction=0.0)
+    assert not validate_grasps(hand, box, _grasps(hand, box, CENTRED), slippery).success.any()
+
+
+def test_friction_needed_is_coulombs(box: ObjectModel) -> None:
+    """1 N on two pads that press with F each holds while 2 mu F > 1 N."""
+    hand = toy_hand(coupled=True, effort=2.0)  # one motor of 2 N on both pads: 1 N each
+    grasps = _grasps(hand, box, CENTRED)
+    for friction, holds in ((0.55, True), (0.45, False)):
+        assert validate_grasps(hand, box, grasps, replace(DEX, friction=friction)).success[0] == holds
+
+
+def test_turning_too_far_is_a_failure(box: ObjectModel) -> None:
+    """Held weakly near its end, the box swings about the line between the pads; torsional friction stops it."""
+    hand = toy_hand(coupled=True, effort=2.4)
+    grasps = _grasps(hand, box, (0.0, 0.0, 0.13))
+    slippery = replace(DEX, torsional_friction=0.0)
+    verdict = validate_grasps(hand, box, grasps, slippery)
+    assert not verdict.success[0]
+    assert verdict.rotation_rad[0] > DEX.max_rotation_rad and verdict.displacement_m[0] < DEX.max_displacement_m
+    assert validate_grasps(hand, box, grasps, replace(slippery, max_rotation_rad=3.0)).success[0]
+    assert validate_grasps(hand, box, grasps, DEX).success[0]
+
+
+def test_start_penetration_is_rejected_at_once(hand: Hand, box: ObjectModel) -> None:
+    grasps = _grasps(hand, box, IN_THE_PALM)  # 20 mm inside the palm
+    verdict = validate_grasps(hand, box, grasps)
+    assert not verdict.success[0] and np.isnan(verdict.displacement_m[0])
+    outcome = GraspTrial(hand, box, DEX).run(grasps.X_OH[0], grasps.q_pregrasp[0], grasps.q[0], grasps.q_squeeze[0])
+    assert outcome.start_penetration_m == pytest.approx(0.02, abs=2e-4)
+
+
+def test_verdict_does_not_depend_on_batch_order_or_history(hand: Hand, box: ObjectModel) -> None:
+    centres = [CENTRED, BESIDE, (0.004, 0.01, 0.12), IN_THE_PALM, (0.0, 0.025, 0.11), (0.002, 0.0, 0.14)]
+    grasps = _grasps(hand, box, *centres)
+    together = validate_grasps(hand, box, grasps)
+    backwards = validate_grasps(hand, box, grasps[::-1])
+    for field in ("success", "displacement_m", "rotation_rad"):
+        whole = getattr(together, field)
+        alone = np.concatenate([getattr(validate_grasps(hand, box, grasps[i]), field) for i in range(len(grasps))])
+        np.testing.assert_array_equal(whole, alone)
+        np.testing.assert_array_equal(whole, getattr(backwards, field)[::-1])
+
+
+def test_verdict_is_the_same_in_every_object_frame(hand: Hand) -> None:
+    """Moving the origin of O (with the grasp) changes nothing: scans are often far off-centre."""
+    near, far = toy_box(), toy_box(centre=(0.3, -0.2, 0.5))
+    centres = (CENTRED, (0.004, 0.01, 0.12))
+    a = validate_grasps(hand, near, _grasps(hand, near, *centres))
+    b = validate_grasps(hand, far, _grasps(hand, far, *centres))
+    np.testing.assert_array_equal(a.success, b.success)
+    np.testing.assert_allclose(a.displacement_m, b.displacement_m, atol=1e-5)
+
+
+def test_short_first_round_gives_the_verdict_of_forces_in_turn(hand: Hand, box: ObjectModel) -> None:
+    centres = [CENTRED, BESIDE, (0.004, 0.01, 0.12), (0.0, 0.035, 0.1), (0.0, 0.0, 0.145)]
+    grasps = _grasps(hand, box, *centres, squeeze_m=0.0002)
+    verdict = validate_grasps(hand, box, grasps)
+    for i in range(len(grasps)):
+        outcome = trial_trajectory(hand, box, grasps[i]).outcome  # observed trials run the forces in turn
+        assert outcome.success == verdict.success[i]
+        if outcome.success:
+            assert outcome.displacement_m == verdict.displacement_m[i]
+            assert outcome.rotation_rad == verdict.rotation_rad[i]
+
+
+def test_prescreen_drops_the_hopeless_and_nothing_that_passes(hand: Hand, box: ObjectModel) -> None:
+    rng = np.random.default_rng(0)
+    centres = [tuple(c) for c in rng.uniform([-0.005, -0.06, 0.08], [0.005, 0.06, 0.18], (20, 3))]
+    grasps = _grasps(hand, box, *centres)
+    keep, success = prescreen(hand, box, grasps), validate_grasps(hand, box, grasps).success
+    assert keep[success].all() and success.any()
+    assert not keep[~success].any()
+    with pytest.raises(InputError, match="shake"):
+        prescreen(hand, box, grasps, "shake")
+
+
+def test_half_the_timestep_agrees(hand: Hand, box: ObjectModel) -> None:
+    centres = [CENTRED, BESIDE, (0.004, 0.01, 0.12), (0.0, 0.03, 0.11), FAR]
+    grasps = _grasps(hand, box, *centres)
+    fine = replace(DEX, timestep_s=0.002, check_every=20)
+    np.testing.assert_array_equal(
+        validate_grasps(hand, box, grasps).success, validate_grasps(hand, box, grasps, fine).success
+    )
+
+
+def test_stop_after_returns_the_tried_prefix(hand: Hand, box: ObjectModel) -> None:
+    grasps = _grasps(hand, box, BESIDE, CENTRED, FAR, CENTRED, CENTRED)
+    verdict = validate_grasps(hand, box, grasps, stop_after=2)
+    assert verdict.success.tolist() == [False, True, False, True]
+    assert len(validate_grasps(hand, box, grasps, stop_after=0)) == 0
+    assert len(validate_grasps(hand, box, grasps[:0])) == 0
+
+
+def test_verdict_states_its_conditions(hand: Hand, box: ObjectModel) -> None:
+    def parameters(protocol: str | Protocol) -> dict[str, float]:
+        return dict(validate_grasps(hand, box, _grasps(hand, box, FAR), protocol).parameters)
+
+    assert parameters("dexgraspbench")["force_n"] == 1.0
+    assert parameters("dexgraspbench-hard")["friction"] == pytest.approx(0.3)
+    shaken = parameters("shake")
+    assert shaken["mass_kg"] == box.mass_kg and shaken["min_joint_effort"] == 20.0
+
+
+@pytest.mark.parametrize("cause", ["target is not a number", "servo too stiff for the timestep"])
+def test_a_diverged_trial_fails_and_leaves_no_trace(
+    cause: str,
+    hand: Hand,
+    box: ObjectModel,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    grasps = _grasps(hand, box, CENTRED)
+    X_OH, q_pregrasp, q, q_squeeze = grasps.X_OH[0], grasps.q_pregrasp[0], grasps.q[0], grasps.q_squeeze[0]
+    trial = GraspTrial(hand, box, DEX)
+    if cause == "target is not a number":
+        outcome = trial.run(X_OH, q_pregrasp, q, np.full(1, np.nan))
+    else:
+        stiff = replace(DEX, prismatic=Actuation(kp=1e12, kv=0.0, armature=0.0))
+        outcome = GraspTrial(toy_hand(coupled=True, effort=1e15), box, stiff).run(X_OH, q_pregrasp, q, q_squeeze)
+    assert not outcome.success
+    assert not list(tmp_path.iterdir())
+    assert capfd.readouterr() == ("", "")
+    after = trial.run(X_OH, q_pregrasp, q, q_squeeze)
+    assert after.displacement_m == validate_grasps(hand, box, grasps).displacement_m[0]
+
+
+def test_grasps_of_another_hand_or_object_are_refused(hand: Hand, box: ObjectModel) -> None:
+    grasps = _grasps(hand, box, CENTRED)
+    with pytest.raises(InputError, match="hand 'other'"):
+        validate_grasps(hand, box, replace(grasps, hand="other"))
+
+
+def test_trajectory_starts_at_the_pregrasp_and_closes(hand: Hand, box: ObjectModel) -> None:
+    grasps = _grasps(hand, box, CENTRED)
+    recorded = trial_trajectory(hand, box, grasps)
+    np.testing.assert_allclose(recorded.X_HO[0] @ grasps.X_OH[0], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(recorded.q[0], CLOSED + 0.01)
+    squeezed = recorded.phases.index("hold") - 1
+    np.testing.assert_allclose(recorded.q[squeezed], CLOSED, atol=5e-4)
+    per_force = round(DEX.hold_s / (DEX.timestep_s * DEX.check_every))
+    assert [(recorded.force_direction == i).sum() for i in range(6)] == [per_force] * 6
+    assert recorded.outcome.success and len(recorded) == len(recorded.time_s)
+    with pytest.raises(InputError, match="expected one"):
+        trial_trajectory(hand, box, _grasps(hand, box, CENTRED, CENTRED))
