@@ -176,3 +176,10 @@ def test_poses_must_match_the_meshes():
         rasterise([plane(1.0)], np.eye(4), CAMERA)
     with pytest.raises(ShapeError, match=r"\(N, 4, 4\)"):
         depth_images(plane(1.0), np.eye(4), CAMERA)
+
+
+def test_near_depth_cuts_into_a_solid():
+    mesh = triangles(trimesh.creation.icosphere(subdivisions=4, radius=0.05))
+    depth = rasterise([mesh], camera_pose([0.3, 0, 0])[None], CAMERA, near_m=0.26).depth
+    assert depth[60, 80] == pytest.approx(0.35, abs=1e-3)  # the front cap is cut away: the far inside is seen
+    assert np.nanmin(depth) >= 0.26

@@ -1,0 +1,240 @@
+"""Pictures of hands, objects, grasps, contact maps and poses, as arrays ready for the page or a PNG file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import distance_transform_edt
+
+from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.raster import rasterise
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.surface import hand_link_meshes
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.report.palette import (
+    GRAPHITE,
+    OBJECT_COLOUR,
+    contact_colours,
+    hand_colour,
+    linear_rgb,
+    linear_to_srgb,
+    mix,
+    srgb_to_linear,
+)
+from neuralgrasps.report.shading import Style, Surface, shade
+from neuralgrasps.report.views import best_direction, best_surface_direction, frame_camera, view_direction
+
+SIZE = (480, 360)
+
+
+def render_grasp(
+    hand: Hand,
+    obj: ObjectModel,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    size: tuple[int, int] = SIZE,
+    view: np.ndarray | None = None,
+    vertex_values: np.ndarray | None = None,
+) -> np.ndarray:
+    """Picture of a hand holding an object, the object upright along its own z.
+
+    Args:
+        hand, obj: what to draw.
+        X_OH: (4, 4) hand base in the object frame; q: (J,) joints.
+        size: width and height, pixels.
+        view: (3,) direction from the object towards the camera (object frame); the most telling one when None.
+        vertex_values: (V,) in [0, 1] contact per vertex of the object's mesh, to colour it by; plain when None.
+    Returns:
+        (height, width, 4) uint8 RGBA, transparent background.
+    Raises:
+        ShapeError: `X_OH` or `q` holds more or less than one grasp, or `vertex_values` does not fit the mesh.
+    """
+    hand_surfaces = posed_hand_surfaces(hand, X_OH, q)
+    surfaces = [*hand_surfaces, object_surface(obj.mesh, vertex_values)]
+    if view is None:
+        view = best_direction([s.mesh for s in hand_surfaces], obj.mesh)
+    return _picture(surfaces, view, size)
+
+
+def render_hand(
+    hand: Hand, q: np.ndarray | None = None, *, size: tuple[int, int] = SIZE, view: np.ndarray | None = None
+) -> np.ndarray:
+    """Picture of a hand alone, fingers up: the palm's normal points at the sky.
+
+    Args:
+        q: (J,) joints; the open posture when None.
+        view: (3,) direction towards the camera in the palm frame P (z out of the palm); three-quarter when None.
+    Returns:
+        (height, width, 4) uint8 RGBA.
+    """
+    surfaces = posed_hand_surfaces(hand, np.linalg.inv(hand.X_HP), hand.q_open if q is None else q)
+    return _picture(surfaces, view_direction(-52, 24) if view is None else view, size)
+
+
+def render_object(
+    obj: ObjectModel | Mesh,
+    *,
+    vertex_values: np.ndarray | None = None,
+    size: tuple[int, int] = SIZE,
+    view: np.ndarray | None = None,
+) -> np.ndarray:
+    """Picture of an object, bare or coloured by a contact map.
+
+    Args:
+        obj: the object, or any mesh (z up).
+        vertex_values: (V,) contact in [0, 1] per mesh vertex (see `values_at_vertices` for values at other points).
+        view: (3,) direction towards the camera, object frame; when None the one that shows most contact.
+    Returns:
+        (height, width, 4) uint8 RGBA.
+    """
+    mesh = obj if isinstance(obj, Mesh) else obj.mesh
+    surface = object_surface(mesh, vertex_values)
+    if view is None:
+        shown = vertex_values is not None
+        view = best_surface_direction(mesh, np.asarray(vertex_values)) if shown else view_direction(35, 25)
+    return _picture([surface], view, size)
+
+
+def render_pose_overlay(
+    image: np.ndarray,
+    obj: ObjectModel | Mesh,
+    X_CO: np.ndarray,
+    intrinsics: Intrinsics,
+    *,
+    X_CO_true: np.ndarray | None = None,
+) -> np.ndarray:
+    """The found pose drawn over the camera's picture: tinted object and a crisp outline; the true outline in white.
+
+    Args:
+        image: (h, w) depth in metres, or (h, w, 3) uint8 colour.
+        obj: the object whose pose was found.
+        X_CO: (4, 4) found pose, camera frame (OpenCV).
+        intrinsics: the camera; must be of the image's size.
+        X_CO_true: (4, 4) true pose, when known.
+    Returns:
+        (h, w, 3) uint8.
+    """
+    background = render_depth(image) if image.ndim == 2 else image[..., :3]
+    if background.shape[:2] != (intrinsics.height, intrinsics.width):
+        size = (intrinsics.height, intrinsics.width)
+        raise ShapeError(f"image has shape {image.shape}; the camera's images are {size} (height, width).")
+    mesh = obj if isinstance(obj, Mesh) else obj.mesh
+    factor = 3
+    canvas = np.repeat(np.repeat(background, factor, 0), factor, 1) / 255.0
+    light, mask = _headlight(mesh, X_CO, intrinsics.scaled(factor))
+    tint = linear_to_srgb(linear_rgb("#19b5a5")) * (0.35 + 0.65 * light[..., None])
+    canvas = np.where(mask[..., None], 0.42 * canvas + 0.58 * tint, canvas)
+    if X_CO_true is not None:
+        canvas = _outline(canvas, _headlight(mesh, X_CO_true, intrinsics.scaled(factor))[1], np.ones(3), 1.1 * factor)
+    canvas = _outline(canvas, mask, np.array([0.02, 0.36, 0.34]), 1.1 * factor)
+    h, w = background.shape[:2]
+    small = srgb_to_linear(canvas).reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
+    return np.round(np.clip(linear_to_srgb(small), 0, 1) * 255).astype(np.uint8)
+
+
+def render_depth(depth: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 picture of a depth image in metres, near light, far dark; no measurement in plain grey."""
+    depth = np.asarray(depth, np.float64)
+    if depth.ndim != 2:
+        raise ShapeError(f"depth has shape {depth.shape}; expected (height, width).")
+    valid = np.isfinite(depth) & (depth > 0)
+    low, high = np.percentile(depth[valid], [1, 99]) if valid.any() else (0.0, 1.0)
+    at = np.clip((np.where(valid, depth, low) - low) / max(high - low, 1e-6), 0, 1)
+    stops = np.stack([linear_rgb(c) for c in ("#fbf3df", "#b9d3c8", "#5f9db0", "#2f5f8a", "#1c2f55")])
+    colour = np.stack([np.interp(at, np.linspace(0, 1, 5), linear_to_srgb(stops[:, k])) for k in range(3)], -1)
+    return np.round(np.where(valid[..., None], colour, 0.62) * 255).astype(np.uint8)
+
+
+def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray) -> list[Surface]:
+    """The hand's links in the object frame: fingers in the hand's colour, palm and other links in graphite."""
+    X_OH, q = np.asarray(X_OH, np.float64), np.asarray(q, np.float64)
+    X_OH = X_OH[0] if X_OH.shape == (1, 4, 4) else X_OH
+    q = q[0] if q.ndim == 2 and len(q) == 1 else q
+    if X_OH.shape != (4, 4) or q.ndim != 1:
+        raise ShapeError(f"X_OH has shape {X_OH.shape} and q {q.shape}; one picture takes one grasp: (4, 4) and (J,).")
+    hand.check_q(q)
+    colour = linear_rgb(hand_colour(hand.name))
+    finger_links = {link for finger in hand.fingers for link in finger.links}
+    palm = mix(colour, linear_rgb(GRAPHITE), 0.72)
+    surfaces = []
+    for link, mesh in enumerate(hand_link_meshes(hand, q)):
+        if len(mesh.faces):
+            posed = Mesh(mesh.vertices @ X_OH[:3, :3].T + X_OH[:3, 3], mesh.faces)
+            surfaces.append(Surface(mesh=posed, colour=colour if link in finger_links else palm, gloss=0.3))
+    return surfaces
+
+
+def object_surface(mesh: Mesh, vertex_values: np.ndarray | None = None) -> Surface:
+    """The object for a picture: plain plaster, or coloured by contact values (V,) in [0, 1]."""
+    if vertex_values is None:
+        return Surface(mesh=mesh, colour=linear_rgb(OBJECT_COLOUR), gloss=0.08)
+    values = np.asarray(vertex_values, np.float64)
+    if values.shape != (len(mesh.vertices),):
+        raise ShapeError(f"vertex_values has shape {values.shape}; the mesh has {len(mesh.vertices)} vertices.")
+    return Surface(mesh=mesh, colour=contact_colours(values), gloss=0.03)
+
+
+def values_at_vertices(mesh: Mesh, points_O: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (V,) at a mesh's vertices from values (P,) at surface points: mean of the 4 nearest, by inverse distance.
+
+    Sparse meshes (a box has eight vertices) cannot show a contact map: see `fine_mesh`.
+    """
+    from scipy.spatial import cKDTree
+
+    points_O, values = np.asarray(points_O, np.float64), np.asarray(values, np.float64)
+    if values.shape != (len(points_O),):
+        raise ShapeError(f"values has shape {values.shape}; expected ({len(points_O)},), one per point.")
+    distance, index = cKDTree(points_O).query(mesh.vertices, k=min(4, len(points_O)))
+    distance, index = distance.reshape(len(mesh.vertices), -1), index.reshape(len(mesh.vertices), -1)
+    weight = 1.0 / (distance + 1e-4)
+    return (values[index] * weight).sum(axis=1) / weight.sum(axis=1)
+
+
+def fine_mesh(mesh: Mesh, *, longest_edge_m: float = 0.004) -> Mesh:
+    """The same surface with no edge longer than `longest_edge_m`, so that values at its vertices can be seen."""
+    import trimesh
+
+    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, longest_edge_m, max_iter=12)
+    return Mesh(vertices, faces)
+
+
+def save_picture(path: str | Path, image: np.ndarray, *, background: str | None = None) -> None:
+    """Write a picture as a PNG file, on `background` ("#rrggbb") or transparent."""
+    picture = Image.fromarray(image)
+    if background is not None and picture.mode == "RGBA":
+        plain = Image.new("RGBA", picture.size, background)
+        plain.alpha_composite(picture)
+        picture = plain.convert("RGB")
+    try:
+        picture.save(path, optimize=True)
+    except OSError as error:
+        raise InputError(f"the picture cannot be written to '{path}': {error}. Choose a writable folder.") from error
+
+
+def _picture(surfaces: Sequence[Surface], view: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    points = np.concatenate([s.mesh.vertices for s in surfaces])
+    X_WC, intrinsics = frame_camera(points, view, size)
+    return shade(surfaces, X_WC, intrinsics, style=Style())
+
+
+def _headlight(mesh: Mesh, X_CM: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """(h, w) cosine between the surface and the camera's ray, and the (h, w) mask of the object."""
+    image = rasterise([mesh], np.asarray(X_CM, np.float64)[None], intrinsics)
+    corners = mesh.vertices[mesh.faces] @ np.asarray(X_CM)[:3, :3].T
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
+    mask = image.face_index >= 0
+    return np.where(mask, np.abs(normal[image.face_index, 2]), 0.0), mask
+
+
+def _outline(canvas: np.ndarray, mask: np.ndarray, colour: np.ndarray, width: float) -> np.ndarray:
+    """`canvas` with a line of `width` pixels just outside `mask`."""
+    distance = distance_transform_edt(~mask)
+    line = (distance > 0) & (distance <= width)
+    return np.where(line[..., None], colour, canvas)

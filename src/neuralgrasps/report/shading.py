@@ -1,0 +1,319 @@
+"""Offscreen pictures of meshes: sky light with true occlusion, a soft-shadowed key light, a rim light, 3x3 samples.
+
+Every picture is the sum of a dome of small lights, each with its own shadow map, and one larger lamp. A pixel has nine
+samples and each sample asks a ninth of the dome, so one pixel sees the whole sky and there is no noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from neuralgrasps.geometry.camera import Intrinsics, pixel_rays
+from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.raster import rasterise
+from neuralgrasps.report.palette import linear_to_srgb
+from neuralgrasps.report.shadow_maps import dome_directions, shadow_maps
+from neuralgrasps.report.smooth_normals import corner_normals
+
+SUPERSAMPLING = 3
+_DOME_LIGHTS = 54  # a multiple of the nine samples of a pixel
+_DOME_MAP, _KEY_MAP = 144, 512  # cells per side of a shadow map
+_GROUND_CELLS, _GROUND_REACH = 176, 2.1  # the shadow on the ground: cells per side, half side in scene radii
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """One thing in the picture.
+
+    Attributes:
+        mesh: its surface, world frame (Z up).
+        colour: (3,) linear-light RGB, or (V, 3) one per vertex.
+        gloss: strength of the highlight, 0 matte .. 1.
+    """
+
+    mesh: Mesh
+    colour: np.ndarray
+    gloss: float = 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Style:
+    """Look of a picture.
+
+    Attributes:
+        sky, key, rim: strength of the dome, the lamp and the rim light.
+        ground: draw a soft shadow on a ground plane under the lowest point.
+        key_azimuth_rad, key_elevation_rad: lamp direction; azimuth counts from the camera, positive to its left.
+    """
+
+    sky: float = 0.84
+    key: float = 0.66
+    rim: float = 0.30
+    ground: bool = True
+    key_azimuth_rad: float = 0.75
+    key_elevation_rad: float = 0.95
+
+
+def shade(surfaces: Sequence[Surface], X_WC: np.ndarray, intrinsics: Intrinsics, *, style: Style | None = None):
+    """Picture of `surfaces`.
+
+    Args:
+        surfaces: what to draw, world frame, z up.
+        X_WC: (4, 4) camera pose (OpenCV camera).
+        intrinsics: the camera; the picture has its size.
+    Returns:
+        (height, width, 4) uint8 sRGB with straight alpha; the background is transparent but for the ground shadow.
+    """
+    style = style or Style()
+    vertices, faces, colours, gloss = _merge(surfaces)
+    normals = np.concatenate([corner_normals(s.mesh.vertices, s.mesh.faces) for s in surfaces])
+    fine = intrinsics.scaled(SUPERSAMPLING)
+    image = rasterise([Mesh(vertices, faces)], np.linalg.inv(X_WC)[None], fine)
+    centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
+    radius = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).max())) * 1.02
+    sphere = {"centre": centre, "radius": radius}
+    sky_directions, key_direction = dome_directions(_DOME_LIGHTS), _key_direction(X_WC, style)
+    sky = (sky_directions.astype(np.float32), *_maps(vertices, faces, sky_directions, **sphere, size=_DOME_MAP))
+    key = (key_direction.astype(np.float32), *_maps(vertices, faces, key_direction[None], **sphere, size=_KEY_MAP))
+    colour = np.zeros((intrinsics.height, intrinsics.width, 3), np.float32)
+    coverage = np.zeros((intrinsics.height, intrinsics.width), np.float32)
+    _shade_surfaces(
+        (image.depth, image.face_index, image.barycentric),
+        (vertices[faces].astype(np.float32), normals, colours[faces].astype(np.float32), gloss),
+        (X_WC[:3, 3].astype(np.float32), centre.astype(np.float32)),
+        sky,
+        key,
+        np.array([style.sky, style.key, style.rim], np.float32),
+        (colour, coverage),
+    )
+    ground = np.float32(vertices[:, 2].min() - 1e-4)
+    shadow = _ground_shadow(ground - centre[2], radius, sky, key) if style.ground else np.zeros((2, 2))
+    darkness = _look_up_ground(shadow, X_WC, intrinsics, ground=ground, centre=centre, radius=radius)
+    return _encode(colour, coverage, darkness)
+
+
+def _maps(vertices, faces, directions, *, centre, radius, size) -> tuple[np.ndarray, np.ndarray, np.float32]:
+    maps = shadow_maps(vertices, faces, directions, centre=centre, radius=radius, size=size)
+    return maps.axes, maps.depth, np.float32(maps.texel_m)
+
+
+def _ground_shadow(height: float, radius: float, sky, key) -> np.ndarray:
+    """(G, G) darkness of the ground over a square of half side `_GROUND_REACH * radius` around the scene."""
+    dark_sky = np.zeros((_GROUND_CELLS, _GROUND_CELLS), np.float32)
+    dark_key = np.zeros_like(dark_sky)
+    reach = _GROUND_REACH * radius
+    _fill_ground(np.float32(height), np.float32(reach), sky, key, dark_sky, dark_key)
+    cell = 2 * reach / _GROUND_CELLS
+    # The far shadows of single sky lights would show as a star: blur more, the farther from the contact.
+    near, far = (gaussian_filter(dark_sky, sigma / cell) for sigma in (0.006, 0.10 * radius))
+    at = (np.arange(_GROUND_CELLS) + 0.5) / _GROUND_CELLS * 2 - 1
+    away = np.hypot(at[:, None], at[None, :])
+    weight = np.clip((near - 0.30) / 0.35, 0, 1)
+    dark = 0.50 * (weight * near + (1 - weight) * far) + 0.20 * gaussian_filter(dark_key, 0.007 / cell)
+    return dark * np.clip((1 - away) / 0.45, 0, 1)
+
+
+def _look_up_ground(shadow, X_WC, intrinsics, *, ground, centre, radius) -> np.ndarray:
+    """(h, w) darkness of the ground at every pixel."""
+    rays = pixel_rays(intrinsics) @ X_WC[:3, :3].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.where(rays[..., 2] < 0, (ground - X_WC[2, 3]) / rays[..., 2], -1.0)
+    points = X_WC[:2, 3] + distance[..., None] * rays[..., :2] - centre[:2]
+    cells = (points / (_GROUND_REACH * radius) * 0.5 + 0.5) * len(shadow) - 0.5
+    dark = map_coordinates(shadow, cells.reshape(-1, 2).T, order=1, cval=0.0).reshape(distance.shape)
+    return np.where(distance > 0, dark, 0.0) * _fade_at_border(dark.shape)
+
+
+def _fade_at_border(shape: tuple[int, int]) -> np.ndarray:
+    """(h, w) weights that fall to 0 at the picture's border, so that no shadow ends in a straight cut."""
+    down, across = (np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / (0.12 * n) for n in shape)
+    weight = np.clip(np.minimum(down[:, None], across[None, :]), 0, 1)
+    return weight * weight * (3 - 2 * weight)
+
+
+def _merge(surfaces: Sequence[Surface]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """All surfaces as one: vertices (V, 3), faces (F, 3), colours (V, 3), gloss (F,)."""
+    offsets = np.cumsum([0] + [len(s.mesh.vertices) for s in surfaces])
+    vertices = np.concatenate([s.mesh.vertices for s in surfaces])
+    faces = np.concatenate([s.mesh.faces + o for s, o in zip(surfaces, offsets, strict=False)]).astype(np.int32)
+    colours = np.concatenate([np.broadcast_to(s.colour, s.mesh.vertices.shape) for s in surfaces])
+    gloss = np.concatenate([np.full(len(s.mesh.faces), s.gloss, np.float32) for s in surfaces])
+    return vertices, faces, colours, gloss
+
+
+def _key_direction(X_WC: np.ndarray, style: Style) -> np.ndarray:
+    """(3,) unit vector towards the lamp: up, and to the left of the camera."""
+    towards_camera = -X_WC[:3, 2]
+    azimuth = np.arctan2(towards_camera[1], towards_camera[0]) - style.key_azimuth_rad
+    flat = np.cos(style.key_elevation_rad)
+    return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(style.key_elevation_rad)])
+
+
+def _encode(colour: np.ndarray, coverage: np.ndarray, darkness: np.ndarray) -> np.ndarray:
+    """8-bit sRGB with straight alpha over the ground's shadow; highlights roll off instead of clipping."""
+    colour = colour / np.maximum(coverage, 1e-6)[..., None]
+    knee = 0.75
+    over = np.maximum(colour - knee, 0.0)
+    colour = linear_to_srgb(np.minimum(colour, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee))))
+    # Browsers blend in sRGB, so the shadow is put behind the object in sRGB too.
+    alpha = coverage + (1 - coverage) * darkness
+    colour = colour * (coverage / np.maximum(alpha, 1e-6))[..., None]
+    levels = np.concatenate([colour, alpha[..., None]], axis=-1)
+    return np.round(np.clip(levels, 0, 1) * 255).astype(np.uint8)
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _lit(x, y, z, axes, depth, inv_texel, bias, du, dv):
+    """1 when nothing stands between the point (relative to the maps' centre) and the light, 0 in its shadow."""
+    size = depth.shape[0]
+    half = 0.5 * size
+    u = int(np.floor((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) * inv_texel + half + du))
+    v = int(np.floor((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) * inv_texel + half + dv))
+    if u < 0 or v < 0 or u >= size or v >= size:
+        return np.float32(1.0)
+    d = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    # A ramp of one cell instead of a step: the cells of the map do not show on slanted surfaces.
+    return min(max(np.float32(1.0) - (d - bias - depth[v, u]) * inv_texel, np.float32(0.0)), np.float32(1.0))
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _sky_light(x, y, z, n, sample, sky):
+    """Light from this sample's share of the dome, scaled so that a free horizontal surface gets 1."""
+    directions, axes, depth, texel = sky
+    count = directions.shape[0]
+    inv_texel = np.float32(1.0) / texel
+    total = np.float32(0.0)
+    for i in range(sample, count, 9):
+        lx, ly, lz = directions[i, 0], directions[i, 1], directions[i, 2]
+        facing = n[0] * lx + n[1] * ly + n[2] * lz
+        if facing > 0.0:
+            radiance = np.float32(0.55) + np.float32(0.45) * lz
+            if radiance > 0:
+                lit = _lit(x, y, z, axes[i], depth[i], inv_texel, texel * np.float32(1.2), 0.0, 0.0)
+                total += radiance * facing * lit
+    return total * np.float32(9.0 * 2.86) / np.float32(count)
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _key_light(x, y, z, sample, pixel, key):
+    """Visibility of the lamp, 0..1, over a disc of about 7 mm: a soft shadow."""
+    _, axes, depth, texel = key
+    inv_texel = np.float32(1.0) / texel
+    spread = np.float32(0.007) * inv_texel
+    total = np.float32(0.0)
+    for tap in range(4):
+        k = sample * 4 + tap
+        radius = spread * np.sqrt((np.float32(k) + np.float32(0.5)) / np.float32(36.0))
+        angle = np.float32(2.399963) * np.float32(k) + pixel
+        total += _lit(
+            x,
+            y,
+            z,
+            axes[0],
+            depth[0],
+            inv_texel,
+            texel * np.float32(2.5),
+            radius * np.cos(angle),
+            radius * np.sin(angle),
+        )
+    return total * np.float32(0.25)
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _blend(rows, b0, b1, b2):
+    """Barycentric mean of the rows of a (3, 3) array, as a tuple."""
+    return (
+        b0 * rows[0, 0] + b1 * rows[1, 0] + b2 * rows[2, 0],
+        b0 * rows[0, 1] + b1 * rows[1, 1] + b2 * rows[2, 1],
+        b0 * rows[0, 2] + b1 * rows[1, 2] + b2 * rows[2, 2],
+    )
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _unit(a, sign):
+    scale = sign / (np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) + np.float32(1e-20))
+    return (a[0] * scale, a[1] * scale, a[2] * scale)
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _face_normal(corners):
+    ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
+    bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
+    return _unit((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), np.float32(1.0))
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _light(p, n, g, view, gloss, sample, pixel, sky, key, lights):
+    """Diffuse light on a surface, and the highlight and rim light added to it, at p (relative to the maps' centre).
+
+    n is the shading normal, g the face's, both towards the camera; view the unit vector to the camera.
+    """
+    lift = sky[3] * np.float32(0.8)
+    diffuse = lights[0] * _sky_light(p[0] + g[0] * lift, p[1] + g[1] * lift, p[2] + g[2] * lift, n, sample, sky)
+    facing = _dot(n, key[0])
+    shine = np.float32(0.0)
+    if facing > 0:
+        lift = key[3] * np.float32(1.5)
+        seen = _key_light(p[0] + g[0] * lift, p[1] + g[1] * lift, p[2] + g[2] * lift, sample, pixel, key)
+        half = _unit((key[0][0] + view[0], key[0][1] + view[1], key[0][2] + view[2]), np.float32(1.0))
+        shine = lights[1] * seen * gloss * max(_dot(n, half), np.float32(0.0)) ** 38 * facing
+        diffuse += lights[1] * seen * facing
+    grazing = (np.float32(1.0) - max(_dot(n, view), np.float32(0.0))) ** 4
+    rim = lights[2] * grazing * (np.float32(0.35) + np.float32(0.65) * max(n[2], np.float32(0.0)))
+    return diffuse + np.float32(0.08), shine, rim  # 0.08: light bounced from everywhere
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shade_surfaces(image, scene, view, sky, key, lights, out):
+    _, face_index, barycentric = image
+    corners, normals, colours, gloss = scene
+    eye, centre = view
+    out_colour, out_coverage = out
+    one, ninth = np.float32(1.0), np.float32(1.0 / 9.0)
+    for row in range(out_coverage.shape[0]):
+        for column in range(out_coverage.shape[1]):
+            pixel = np.float32(((row * 7 + column * 13) % 16) * 0.3926991)
+            for sample in range(9):
+                v, u = row * 3 + sample // 3, column * 3 + sample % 3
+                face = face_index[v, u]
+                if face < 0:
+                    continue
+                b0, b1, b2 = barycentric[v, u, 0], barycentric[v, u, 1], barycentric[v, u, 2]
+                p = _blend(corners[face], b0, b1, b2)
+                to_eye = _unit((eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]), one)
+                g = _face_normal(corners[face])
+                side = one if _dot(g, to_eye) >= 0 else -one
+                g = (g[0] * side, g[1] * side, g[2] * side)
+                n = _unit(_blend(normals[face], b0, b1, b2), side)
+                q = (p[0] - centre[0], p[1] - centre[1], p[2] - centre[2])
+                diffuse, shine, rim = _light(q, n, g, to_eye, gloss[face], sample, pixel, sky, key, lights)
+                rgb = _blend(colours[face], b0, b1, b2)
+                for c in range(3):
+                    glow = rim * np.float32(0.3) * (one + rgb[c])
+                    out_colour[row, column, c] += (rgb[c] * diffuse + shine + glow) * ninth
+                out_coverage[row, column] += ninth
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _fill_ground(height, reach, sky, key, dark_sky, dark_key):
+    size = dark_sky.shape[0]
+    up = (np.float32(0.0), np.float32(0.0), np.float32(1.0))
+    for i in range(size):
+        x = ((np.float32(i) + np.float32(0.5)) / size * 2 - 1) * reach
+        for j in range(size):
+            y = ((np.float32(j) + np.float32(0.5)) / size * 2 - 1) * reach
+            light = np.float32(0.0)
+            for sample in range(9):
+                light += _sky_light(x, y, height, up, sample, sky)
+            dark_sky[i, j] = max(np.float32(1.0) - light / np.float32(9.0), np.float32(0.0))
+            dark_key[i, j] = np.float32(1.0) - _key_light(x, y, height, 4, np.float32(0.0), key)
