@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neuralgrasps.errors import check_shape
-from neuralgrasps.geometry.mesh_topology import Mesh, face_bodies, is_manifold
+from neuralgrasps.geometry.mesh_topology import Mesh, face_areas_normals, face_bodies, is_manifold
 
 FloatArray = NDArray[np.float64]
 
@@ -51,8 +51,11 @@ def contains(mesh: Mesh, points: ArrayLike) -> NDArray[np.bool_]:
 
 
 def has_exact_pseudonormals(mesh: Mesh) -> bool:
-    """Whether the sign may be read off the surface's own normals: one closed manifold body without slivers."""
-    return is_manifold(mesh) and face_bodies(mesh.faces, len(mesh.vertices))[0] == 1
+    """Whether the sign may be read off the surface's own normals: one closed manifold body, every face with area."""
+    if not is_manifold(mesh) or face_bodies(mesh.faces, len(mesh.vertices))[0] != 1:
+        return False
+    areas, _ = face_areas_normals(mesh)
+    return bool(areas.min() > 1e-14 * float(mesh.extents.max()) ** 2)
 
 
 def _as_points(points: ArrayLike) -> FloatArray:

@@ -47,7 +47,8 @@ def load_mesh(path: str | Path, *, unit: LengthUnit = "auto") -> LoadedMesh:
         unit: length unit of the file. "auto" means metres, unless the largest extent is over 3, then millimetres
             (said in `repairs`).
     Raises:
-        MeshError: the file is missing, unreadable, without triangles, or flat; `unit` is checked with InputError.
+        MeshError: the file is missing, unreadable, without triangles, or flat.
+        InputError: `unit` is not one of those named.
     """
     path = Path(path)
     if unit not in get_args(LengthUnit):
@@ -74,8 +75,11 @@ def repair_mesh(
     v, f = mesh_repair.drop_useless_faces(v, f, repairs)
     if not len(f) or not np.ptp(v, axis=0).max() > 0:
         raise MeshError(f"{source} has only faces without area; expected a surface that encloses a volume.")
+    if mesh_repair.is_flat(v[f].reshape(-1, 3)):
+        raise MeshError(f"{source} is flat: all its faces lie in one plane; expected a surface that encloses a volume.")
     f = mesh_repair.fix_winding(v, f, repairs)
-    mesh = Mesh(*mesh_repair.compact(v, f))
+    v, f = mesh_repair.compact(v, f)
+    mesh = Mesh(v, f.astype(np.int32))
     bodies, _ = face_bodies(mesh.faces, len(mesh.vertices))
     closed = is_closed(mesh)
     if bodies > 1:
@@ -104,7 +108,7 @@ def _read_triangles(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
     if kind not in _READABLE:
         raise MeshError(f"mesh file '{path}' is of kind '.{kind}'; expected one of {', '.join(_READABLE)}.")
     try:
-        loaded = trimesh.load(path, process=False, maintain_order=True, skip_materials=True)
+        loaded: Any = trimesh.load(path, process=False, maintain_order=True, skip_materials=True)
         if isinstance(loaded, trimesh.Scene):
             loaded = loaded.to_geometry() if loaded.geometry else None
     except Exception as error:  # readers of ten formats raise whatever their parser raises

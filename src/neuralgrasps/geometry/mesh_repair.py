@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import igl
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from neuralgrasps.geometry.mesh_topology import Mesh, face_bodies, is_closed, mass_properties, open_edge_count
+from neuralgrasps.geometry.mesh_topology import face_bodies, open_edge_count
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -19,8 +20,8 @@ _WELD_TOLERANCES = (1e-5, 1e-4, 1e-3)
 
 def drop_bad_vertices(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> tuple[FloatArray, IntArray]:
     """Drop faces that use a vertex that is not finite or does not exist."""
-    finite = np.isfinite(vertices).all(axis=1)
-    in_range = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
+    finite: NDArray[np.bool_] = np.asarray(np.isfinite(vertices).all(axis=1))
+    in_range: NDArray[np.bool_] = np.asarray(((faces >= 0) & (faces < len(vertices))).all(axis=1))
     keep = in_range.copy()
     keep[in_range] = finite[faces[in_range]].all(axis=1)
     if not finite.all():
@@ -101,7 +102,7 @@ def drop_useless_faces(vertices: FloatArray, faces: IntArray, repairs: list[str]
     """Drop faces that name a vertex twice, and repeated faces.
 
     A sliver of no area between three distinct vertices stays: dropping it would open the surface, and it does no harm.
-    Of faces on the same three vertices, opposite pairs cancel and equal ones count once.
+    Faces on the same three vertices with opposite winding are the two sides of a sheet and both stay.
     """
     a, b, c = faces.T
     distinct = (a != b) & (b != c) & (c != a)
@@ -120,21 +121,18 @@ def drop_useless_faces(vertices: FloatArray, faces: IntArray, repairs: list[str]
 
 
 def fix_winding(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> IntArray:
-    """Make neighbours wind alike within each body, then turn bodies inside out whose volume is negative.
+    """Make neighbours wind alike within each body, then turn the bodies whose volume is negative.
 
-    A closed body inside another one (a cavity) keeps the winding of the file.
+    A body inside another one may be a cavity: it is turned only together with the body around it.
     """
-    if not is_closed(Mesh(vertices, faces)):
+    if open_edge_count(faces.astype(np.int32)):
         faces, turned = _orient_consistently(faces, len(vertices))
         if turned:
             repairs.append(f"turned {turned} faces that were wound against their neighbours")
     count, body = face_bodies(faces.astype(np.int32), len(vertices))
-    total = mass_properties(Mesh(vertices, faces)).volume
-    volumes = np.array([mass_properties(Mesh(vertices, faces[body == k])).volume for k in range(count)])
-    if total < 0:
-        inverted = volumes < 0 if np.all(volumes < 0) else np.ones(count, dtype=bool)
-    else:
-        inverted = (volumes < 0) & ~_inside_another(vertices, faces, body, volumes)
+    volumes = _body_volumes(vertices, faces, body, count)
+    outer = _enclosing_body(vertices, faces, body, volumes)
+    inverted = (volumes < 0)[outer]
     if inverted.any():
         turn = inverted[body]
         repairs.append(f"turned {int(inverted.sum())} inside-out bodies ({int(turn.sum())} faces)")
@@ -142,21 +140,35 @@ def fix_winding(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> In
     return faces
 
 
-def _inside_another(
+def _body_volumes(vertices: FloatArray, faces: IntArray, body: NDArray[np.int32], count: int) -> FloatArray:
+    """Signed volume of each body, about its own centre so that holes matter least."""
+    triangles = vertices[faces]
+    centroid = triangles.mean(axis=1)
+    number = np.bincount(body, minlength=count)
+    centre = np.stack([np.bincount(body, centroid[:, k], count) / number for k in range(3)], axis=1)
+    a, b, c = np.moveaxis(triangles - centre[body][:, None], 1, 0)
+    return np.bincount(body, np.einsum("ij,ij->i", a, np.cross(b, c)), count) / 6.0
+
+
+def _enclosing_body(
     vertices: FloatArray, faces: IntArray, body: NDArray[np.int32], volumes: FloatArray
-) -> NDArray[np.bool_]:
-    """Which bodies lie in the bounding box of one larger body (a cavity's likely place)."""
-    boxes = [
-        (vertices[faces[body == k]].min(axis=(0, 1)), vertices[faces[body == k]].max(axis=(0, 1)))
-        for k in range(len(volumes))
-    ]
-    inside = np.zeros(len(volumes), dtype=bool)
-    for k, (low, high) in enumerate(boxes):
-        inside[k] = any(
-            j != k and abs(volumes[j]) > abs(volumes[k]) and np.all(boxes[j][0] <= low) and np.all(boxes[j][1] >= high)
-            for j in range(len(volumes))
-        )
-    return inside
+) -> NDArray[np.int64]:
+    """For each body the largest other one that contains it, else itself; by its box, then by winding number."""
+    count = len(volumes)
+    outer = np.arange(count)
+    corners = vertices[faces]
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, body, corners.min(axis=1))
+    np.maximum.at(high, body, corners.max(axis=1))
+    size = np.abs(volumes)
+    for k in range(count if count > 1 else 0):
+        around = np.flatnonzero((low <= low[k]).all(axis=1) & (high >= high[k]).all(axis=1) & (size > size[k]))
+        probe = corners[np.argmax(body == k), :1]
+        for j in around[np.argsort(-size[around], kind="stable")]:
+            if abs(igl.fast_winding_number(vertices, faces[body == j], probe)[0]) > 0.5:
+                outer[k] = j
+                break
+    return outer
 
 
 def _orient_consistently(faces: IntArray, num_vertices: int) -> tuple[IntArray, int]:
@@ -182,3 +194,10 @@ def _orient_consistently(faces: IntArray, num_vertices: int) -> tuple[IntArray, 
     total, number = np.bincount(component, minlength=label.max() + 1), np.bincount(component, flip, label.max() + 1)
     flip ^= (number > total / 2)[component] & (as_is != flipped)
     return np.where(flip[:, None], faces[:, [0, 2, 1]], faces), int(flip.sum())
+
+
+def is_flat(points: FloatArray) -> bool:
+    """Whether points (N, 3) lie in one plane, up to a millionth of their extent."""
+    centred = points - points.mean(axis=0)
+    spread = np.linalg.eigvalsh(centred.T @ centred)
+    return bool(spread[0] <= 1e-12 * spread[2])

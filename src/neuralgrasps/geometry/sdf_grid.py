@@ -84,7 +84,7 @@ def build_sdf_grid(mesh: Mesh, *, cells: int = 128, padding: float = 0.02) -> Sd
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def grid_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
+def grid_distance(values, origin, inv_spacing, x, y, z):
     """Trilinear signed distance at (x, y, z): metres, float64."""
     nx, ny, nz = values.shape
     u = (x - origin[0]) * inv_spacing
@@ -110,7 +110,7 @@ def grid_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-unty
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def grid_distance_gradient(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
+def grid_distance_gradient(values, origin, inv_spacing, x, y, z):
     """(d, gx, gy, gz): `grid_distance` and its exact gradient, 1 / 1, not normalised (its length is about 1)."""
     nx, ny, nz = values.shape
     u = (x - origin[0]) * inv_spacing
@@ -156,14 +156,14 @@ def grid_distance_gradient(values, origin, inv_spacing, x, y, z):  # type: ignor
 
 
 @njit(cache=True, error_model="numpy")
-def grid_distances(values, origin, inv_spacing, points, out):  # type: ignore[no-untyped-def]
+def grid_distances(values, origin, inv_spacing, points, out):
     """`grid_distance` of points (M, 3) into out (M,)."""
     for m in range(points.shape[0]):
         out[m] = grid_distance(values, origin, inv_spacing, points[m, 0], points[m, 1], points[m, 2])
 
 
 @njit(cache=True, error_model="numpy")
-def grid_distances_gradients(values, origin, inv_spacing, points, out, gradients):  # type: ignore[no-untyped-def]
+def grid_distances_gradients(values, origin, inv_spacing, points, out, gradients):
     """`grid_distance_gradient` of points (M, 3) into out (M,) and gradients (M, 3)."""
     for m in range(points.shape[0]):
         d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, points[m, 0], points[m, 1], points[m, 2])
@@ -209,11 +209,10 @@ def query_grid_gradient(grid: SdfGrid, points: Tensor) -> tuple[Tensor, Tensor]:
 def _interpolate(grid: SdfGrid, points: Tensor, *, gradient: bool) -> tuple[Tensor, Tensor | None]:
     import torch  # noqa: PLC0415 - workers that use the kernels only must not load it
 
-    options = {"dtype": points.dtype, "device": points.device}
     values = torch.as_tensor(grid.values, device=points.device).reshape(-1)
     ny, nz = grid.values.shape[1:]
-    last = torch.tensor(grid.values.shape, **options) - 1
-    u = (points - torch.as_tensor(grid.origin).to(**options)) * grid.inv_spacing
+    last = torch.tensor(grid.values.shape).to(points) - 1
+    u = (points - torch.as_tensor(grid.origin).to(points)) * grid.inv_spacing
     clamped = torch.minimum(u.clamp(min=0), last)
     cell = torch.minimum(clamped.detach().floor(), last - 1).long()
     a, b, c = (clamped - cell).unbind(-1)
