@@ -32,6 +32,7 @@ class ConvexPart:
         X_LP: (4, 4) float64, part frame in the link frame.
         vertices: (V, 3) float64 hull vertices in the *part* frame (only for HULL; (0, 3) otherwise).
         faces: (F, 3) int32 outward triangles of the hull (only for HULL; (0, 3) otherwise).
+        colour: red, green, blue, alpha in [0, 1] for drawing, or None where the file gives none.
     """
 
     link: int
@@ -40,6 +41,7 @@ class ConvexPart:
     X_LP: np.ndarray
     vertices: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     faces: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int32))
+    colour: tuple[float, float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,0 +1,231 @@
+"""A hand as flat arrays for compiled kernels, and exact hand distances on them. Torch-free."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.parts import bounding_sphere, hull_planes, part_distance
+from neuralgrasps.hands.surface import HandSurface, rigid_bodies, sample_hand_surface
+from neuralgrasps.kinematics.forward_kernels import forward_fast, link_poses
+
+_PAIR_SPACING = 0.005  # sampling that decides which links may touch
+_PAIR_POSTURES = 48
+_PAIR_DEPTH = 5e-4
+
+
+class PackedHand(NamedTuple):
+    """Contiguous float64 / int64 arrays; L links, J joints, K points, Np parts. Frames and units as in `Hand`.
+
+    Attributes:
+        parents (L,) int32, joint_types (L,) int8, X_parent_joint (L, 4, 4), axes (L, 3), coupling (L, J), offset (L,),
+        lower, upper, closing_rate, effort (J,): the tree and its use.
+        point_L, point_normal_L (K, 3): surface points, sorted by link; point_link (K,) int32.
+        link_point_start (L + 1,): points of link i are link_point_start[i]:link_point_start[i + 1].
+        link_centre (L, 3), link_radius (L,): sphere around each link's points, link frame; radius 0 without points.
+        part_kind (Np,), part_link (Np,), part_size (Np, 3), part_X_PL (Np, 4, 4): parts sorted by link; X_PL maps link
+            coordinates to part coordinates.
+        hull_plane_start (Np + 1,), hull_planes (total, 4): n . p + d <= 0 inside, part frame.
+        hull_tri_start (Np + 1,), hull_triangles (total, 3, 3): outward triangles, part frame.
+        part_centre (Np, 3), part_radius (Np,): sphere around each part, link frame.
+        self_pairs (S, 2): pairs of links that are neither neighbours nor always in touch; to check for collision.
+    """
+
+    parents: np.ndarray
+    joint_types: np.ndarray
+    X_parent_joint: np.ndarray
+    axes: np.ndarray
+    coupling: np.ndarray
+    offset: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    closing_rate: np.ndarray
+    effort: np.ndarray
+    point_L: np.ndarray
+    point_normal_L: np.ndarray
+    point_link: np.ndarray
+    link_point_start: np.ndarray
+    link_centre: np.ndarray
+    link_radius: np.ndarray
+    part_kind: np.ndarray
+    part_link: np.ndarray
+    part_X_PL: np.ndarray
+    part_size: np.ndarray
+    hull_plane_start: np.ndarray
+    hull_planes: np.ndarray
+    hull_tri_start: np.ndarray
+    hull_triangles: np.ndarray
+    part_centre: np.ndarray
+    part_radius: np.ndarray
+    self_pairs: np.ndarray
+
+
+def pack_hand(hand: Hand, *, spacing: float) -> PackedHand:
+    """Flat arrays of a hand, with surface points `spacing` metres apart.
+
+    Raises:
+        InputError: spacing is not positive.
+    """
+    packed = _pack(hand, sample_hand_surface(hand, spacing=spacing), np.zeros((0, 2), np.int64))
+    probe = _pack(hand, sample_hand_surface(hand, spacing=_PAIR_SPACING), np.zeros((0, 2), np.int64))
+    return packed._replace(self_pairs=_self_pairs(hand, probe))
+
+
+def _pack(hand: Hand, surface: HandSurface, pairs: np.ndarray) -> PackedHand:
+    tree = hand.tree
+    parts = sorted(hand.parts, key=lambda p: p.link)
+    spheres = [bounding_sphere(p) for p in parts]
+    hulls = [hull_planes(p) for p in parts]
+    start = np.searchsorted(surface.links, np.arange(tree.num_links + 1)).astype(np.int64)
+    centre, radius = _link_spheres(surface.points_L, start)
+    return PackedHand(
+        parents=_as(tree.parents, np.int32),
+        joint_types=_as(tree.joint_types, np.int8),
+        X_parent_joint=_as(tree.X_parent_joint),
+        axes=_as(tree.axes),
+        coupling=_as(tree.coupling),
+        offset=_as(tree.offset),
+        lower=_as(tree.lower),
+        upper=_as(tree.upper),
+        closing_rate=_as(hand.closing_rate),
+        effort=_as(tree.effort),
+        point_L=_as(surface.points_L),
+        point_normal_L=_as(surface.normals_L),
+        point_link=_as(surface.links, np.int32),
+        link_point_start=start,
+        link_centre=centre,
+        link_radius=radius,
+        part_kind=np.array([int(p.kind) for p in parts], np.int64),
+        part_link=np.array([p.link for p in parts], np.int64),
+        part_X_PL=_as([_inverse(p.X_LP) for p in parts]),
+        part_size=_as([p.size for p in parts]),
+        hull_plane_start=np.cumsum([0] + [len(h[0]) for h in hulls]),
+        hull_planes=_as(np.concatenate([h[0] for h in hulls]).reshape(-1, 4)),
+        hull_tri_start=np.cumsum([0] + [len(h[1]) for h in hulls]),
+        hull_triangles=_as(np.concatenate([h[1] for h in hulls]).reshape(-1, 3, 3)),
+        part_centre=_as([s[0] for s in spheres]),
+        part_radius=_as([s[1] for s in spheres]),
+        self_pairs=_as(pairs, np.int64),
+    )
+
+
+def _as(values, dtype=np.float64) -> np.ndarray:  # type: ignore[no-untyped-def]
+    return np.array(values, dtype=dtype, order="C")
+
+
+def _inverse(X: np.ndarray) -> np.ndarray:
+    inverse = np.eye(4)
+    inverse[:3, :3], inverse[:3, 3] = X[:3, :3].T, -X[:3, :3].T @ X[:3, 3]
+    return inverse
+
+
+def _link_spheres(points_L: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    links = len(start) - 1
+    centre, radius = np.zeros((links, 3)), np.zeros(links)
+    for i in range(links):
+        own = points_L[start[i] : start[i + 1]]
+        if len(own):
+            centre[i] = (own.min(axis=0) + own.max(axis=0)) / 2
+            radius[i] = np.linalg.norm(own - centre[i], axis=1).max()
+    return centre, radius
+
+
+def _self_pairs(hand: Hand, packed: PackedHand) -> np.ndarray:
+    """(S, 2) link pairs of different, not adjacent rigid bodies that are apart when open and in most postures."""
+    body = rigid_bodies(hand.tree)
+    above = {int(b): int(body[hand.tree.parents[b]]) for b in np.unique(body) if hand.tree.parents[b] >= 0}
+    links = np.unique(packed.part_link)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(hand.tree.lower, hand.tree.upper, size=(_PAIR_POSTURES, hand.num_dofs))
+    X_HL = forward_fast(hand.tree, np.concatenate([hand.q_open[None], q]))
+    kept = []
+    for k, a in enumerate(links):
+        for b in links[k + 1 :]:
+            A, B = int(body[a]), int(body[b])
+            if A == B or above.get(A) == B or above.get(B) == A:
+                continue
+            overlaps = np.array([_overlap(packed, X, a, b) for X in X_HL]) > _PAIR_DEPTH
+            if not overlaps[0] and overlaps[1:].mean() <= 0.5:
+                kept.append((a, b))
+    return np.array(kept, np.int64).reshape(-1, 2)
+
+
+@njit(cache=True, error_model="numpy")
+def _overlap(packed, X_HL, a, b):  # type: ignore[no-untyped-def]
+    """Largest depth of one link's surface points in the parts of the other, metres, >= 0."""
+    depth = 0.0
+    for turn in range(2):
+        link, other = (a, b) if turn == 0 else (b, a)
+        X = X_HL[link]
+        for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
+            p = packed.point_L[k]
+            x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
+            y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
+            z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+            for part in range(packed.part_link.shape[0]):
+                if packed.part_link[part] == other:
+                    depth = max(depth, -part_distance_H(packed, X_HL, part, x, y, z))
+    return depth
+
+
+@njit(cache=True, error_model="numpy")
+def part_distance_H(packed, X_HL, part, x, y, z):  # type: ignore[no-untyped-def]
+    """Exact signed distance from (x, y, z), in H, metres, to one part of the hand posed as `X_HL` (L, 4, 4)."""
+    X = X_HL[packed.part_link[part]]
+    dx, dy, dz = x - X[0, 3], y - X[1, 3], z - X[2, 3]
+    lx = X[0, 0] * dx + X[1, 0] * dy + X[2, 0] * dz
+    ly = X[0, 1] * dx + X[1, 1] * dy + X[2, 1] * dz
+    lz = X[0, 2] * dx + X[1, 2] * dy + X[2, 2] * dz
+    P = packed.part_X_PL[part]
+    px = P[0, 0] * lx + P[0, 1] * ly + P[0, 2] * lz + P[0, 3]
+    py = P[1, 0] * lx + P[1, 1] * ly + P[1, 2] * lz + P[1, 3]
+    pz = P[2, 0] * lx + P[2, 1] * ly + P[2, 2] * lz + P[2, 3]
+    planes = packed.hull_planes[packed.hull_plane_start[part] : packed.hull_plane_start[part + 1]]
+    triangles = packed.hull_triangles[packed.hull_tri_start[part] : packed.hull_tri_start[part + 1]]
+    return part_distance(packed.part_kind[part], packed.part_size[part], planes, triangles, px, py, pz)
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_part(packed, X_HL, x, y, z):  # type: ignore[no-untyped-def]
+    """(signed distance, part): the part of the posed hand that is nearest to (x, y, z), in H, metres."""
+    best, found = math.inf, -1
+    for part in range(packed.part_link.shape[0]):
+        X, c = X_HL[packed.part_link[part]], packed.part_centre[part]
+        dx = x - (X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3])
+        dy = y - (X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3])
+        dz = z - (X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3])
+        reach = best + packed.part_radius[part]  # the part is no nearer than its sphere
+        if reach <= 0.0 or dx * dx + dy * dy + dz * dz > reach * reach:
+            continue
+        d = part_distance_H(packed, X_HL, part, x, y, z)
+        if d < best:
+            best, found = d, part
+    return best, found
+
+
+@njit(cache=True, error_model="numpy")
+def hand_distance(packed, X_HL, x, y, z):  # type: ignore[no-untyped-def]
+    """Signed distance from (x, y, z), in H, metres, to the posed hand: the least over its parts.
+
+    Exact outside; inside overlapping parts it is the depth in the deepest one, a lower bound on the union's depth.
+    """
+    return nearest_part(packed, X_HL, x, y, z)[0]
+
+
+@njit(cache=True, error_model="numpy")
+def hand_distance_many(packed, X_OH, q, points_O, out):  # type: ignore[no-untyped-def]
+    """Signed distances of points (M, 3) in the object frame to one hand at X_OH (4, 4), q (J,), into `out` (M,)."""
+    X_HL = np.empty((packed.parents.shape[0], 4, 4))
+    link_poses(
+        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, X_HL
+    )
+    for i in range(points_O.shape[0]):
+        dx, dy, dz = points_O[i, 0] - X_OH[0, 3], points_O[i, 1] - X_OH[1, 3], points_O[i, 2] - X_OH[2, 3]
+        x = X_OH[0, 0] * dx + X_OH[1, 0] * dy + X_OH[2, 0] * dz
+        y = X_OH[0, 1] * dx + X_OH[1, 1] * dy + X_OH[2, 1] * dz
+        z = X_OH[0, 2] * dx + X_OH[1, 2] * dy + X_OH[2, 2] * dz
+        out[i] = nearest_part(packed, X_HL, x, y, z)[0]

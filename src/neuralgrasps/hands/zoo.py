@@ -1,0 +1,101 @@
+"""The hands that come with the library, and hands from any URDF or MJCF file."""
+
+from __future__ import annotations
+
+import difflib
+from importlib import resources
+from pathlib import Path
+
+from neuralgrasps.errors import RobotDescriptionError, unknown_name
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.loader import hand_from_description
+from neuralgrasps.hands.notes import HandNotes, load_hand_notes
+from neuralgrasps.kinematics.description import RobotDescription
+from neuralgrasps.kinematics.mjcf import load_mjcf
+from neuralgrasps.kinematics.safe_xml import read_xml
+from neuralgrasps.kinematics.urdf import load_urdf
+
+_HANDS = ("fetch", "panda", "barrett", "allegro", "human")
+
+
+def hand_names() -> tuple[str, ...]:
+    """Names of the hands that come with the library."""
+    return _HANDS
+
+
+def hand_folder(name: str) -> Path:
+    """Folder of a built-in hand: hand.xml, hand.toml, LICENSE, README.md, preview.png.
+
+    Raises:
+        UnknownNameError: no hand of this name.
+    """
+    if name not in _HANDS:
+        raise unknown_name("hand", name, _HANDS)
+    return Path(str(resources.files("neuralgrasps"))) / "assets" / "hands" / name
+
+
+def load_hand(name_or_path: str | Path) -> Hand:
+    """A built-in hand by name, or any hand from a URDF or MJCF file.
+
+    A file is annotated automatically (palm, fingers, closing directions, preshapes). A `hand.toml`, or `<file>.toml`,
+    beside it overrides whatever it states. A folder stands for the hand.xml, or the only URDF or MJCF, in it.
+
+    Args:
+        name_or_path: a name of `hand_names()`, or a path to a .urdf or .xml file or a folder with one.
+    Raises:
+        UnknownNameError: neither a known name nor a file.
+        RobotDescriptionError: the file cannot be used as a hand.
+    """
+    if isinstance(name_or_path, str) and name_or_path in _HANDS:
+        return _load_file(hand_folder(name_or_path) / "hand.xml")
+    path = Path(name_or_path)
+    if path.is_dir():
+        path = _only_robot_file(path)
+    if path.is_file():
+        return _load_file(path)
+    raise _not_found(str(name_or_path))
+
+
+def _not_found(name: str) -> Exception:
+    if name.endswith((".urdf", ".xml", ".mjcf")) or "/" in name or "\\" in name:
+        folder = Path(name).parent
+        near = difflib.get_close_matches(Path(name).name, [p.name for p in folder.glob("*")], n=1)
+        hint = f" Did you mean '{folder / near[0]}'?" if near else ""
+        return RobotDescriptionError(f"hand file '{name}' does not exist.{hint} Built-in hands: {', '.join(_HANDS)}.")
+    return unknown_name("hand", name, _HANDS)
+
+
+def _only_robot_file(folder: Path) -> Path:
+    if (folder / "hand.xml").is_file():
+        return folder / "hand.xml"
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".urdf", ".xml", ".mjcf"))
+    if len(found) != 1:
+        listed = f"{len(found)} robot files ({', '.join(p.name for p in found[:5])})" if found else "no robot file"
+        raise RobotDescriptionError(f"folder '{folder}' holds {listed}; name one .urdf or .xml file.")
+    return found[0]
+
+
+def _load_file(path: Path) -> Hand:
+    return hand_from_description(load_robot(path), _notes_beside(path))
+
+
+def _notes_beside(path: Path) -> HandNotes | None:
+    for candidate in (path.with_suffix(".toml"), path.parent / "hand.toml"):
+        if candidate.is_file():
+            return load_hand_notes(candidate)
+    return None
+
+
+def load_robot(path: str | Path) -> RobotDescription:
+    """Read a URDF or MJCF file, told apart by the root tag of its XML.
+
+    Raises:
+        RobotDescriptionError: the file is neither, or cannot be used.
+    """
+    path = Path(path)
+    root = read_xml(path, root_tag=None, kind="robot file").tag
+    if root == "robot":
+        return load_urdf(path)
+    if root == "mujoco":
+        return load_mjcf(path)
+    raise RobotDescriptionError(f"'{path.name}' has the root tag <{root}>; expected <robot> (URDF) or <mujoco> (MJCF).")
