@@ -238,7 +238,7 @@ class _Reader:
             self.notes.append(f"a '{kind}' shape of body '{self.body_name(body)}' was left out.")
             return None
         geometry_kind, size, mesh = shape
-        red, green, blue, alpha = (float(v) for v in model.geom_rgba[k])
+        red, green, blue, alpha = (float(v) for v in self._rgba(k))
         rotation = quaternion_matrix(model.geom_quat[k])
         return LinkGeometry(
             link=index[self.frames[body]],
@@ -249,6 +249,10 @@ class _Reader:
             is_visual=not model.geom_contype[k] and not model.geom_conaffinity[k],
             colour=(red, green, blue, alpha),
         )
+
+    def _rgba(self, k: int) -> np.ndarray:
+        material = int(self.model.geom_matid[k])
+        return self.model.mat_rgba[material] if material >= 0 else self.model.geom_rgba[k]
 
     def _shape(self, kind: str, k: int) -> tuple[GeometryKind, np.ndarray, Mesh | None] | None:
         model, size = self.model, np.array(self.model.geom_size[k], float)
