@@ -207,11 +207,15 @@ def _to_vertex(columns, count, direction, table, edges, slack, x, basis):
                 for k in range(6):
                     weights[j] += edges[j, k] * (direction[k] if level == 0 else x[k])
                 largest = max(largest, abs(weights[j]))
-        if largest < 1e-12:
+        if largest < 1e-9:  # |x| is stationary: any free direction increases it to second order
+            for j in range(6):
+                weights[j] = 0.0
             for j in range(6):
                 if basis[j] < 0:
-                    weights[j] = 1.0
+                    weights[j] = largest = 1.0
                     break
+        for j in range(6):
+            weights[j] /= largest
         for i in range(count):
             move[i] = 0.0
         for j in range(6):
