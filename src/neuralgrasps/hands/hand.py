@@ -105,7 +105,9 @@ class Hand:
             if got != (self.num_dofs,):
                 raise RobotDescriptionError(f"hand '{self.name}': {name} has shape {got}; expected ({self.num_dofs},).")
         if not self.parts:
-            raise RobotDescriptionError(f"hand '{self.name}' has no collision geometry; add at least one shape per link.")
+            raise RobotDescriptionError(
+                f"hand '{self.name}' has no collision geometry; add at least one shape per link."
+            )
         grouped = sorted(d for group in self.preshape_groups for d in group)
         if grouped != list(range(self.num_dofs)):
             raise RobotDescriptionError(

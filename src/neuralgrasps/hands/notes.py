@@ -159,10 +159,14 @@ class _Table:
         self.check_keys(_PALM_KEYS)
         missing = [k for k in _PALM_KEYS if k not in self.values]
         if missing:
-            raise RobotDescriptionError(f"{self.where}: key '{missing[0]}' is missing; expected {', '.join(_PALM_KEYS)}.")
+            raise RobotDescriptionError(
+                f"{self.where}: key '{missing[0]}' is missing; expected {', '.join(_PALM_KEYS)}."
+            )
         position, x, z = (self.vector(k, 3) for k in _PALM_KEYS)
         assert position is not None and x is not None and z is not None
-        if min(np.linalg.norm(x), np.linalg.norm(z)) < 1e-9 or abs(x @ z) > 1e-3 * np.linalg.norm(x) * np.linalg.norm(z):
+        if min(np.linalg.norm(x), np.linalg.norm(z)) < 1e-9 or abs(x @ z) > 1e-3 * np.linalg.norm(x) * np.linalg.norm(
+            z
+        ):
             raise RobotDescriptionError(f"{self.where}: x_axis and z_axis must be non-zero and perpendicular.")
         return palm_frame(position, x, z)
 
@@ -193,7 +197,9 @@ class _Table:
         self.check_keys(_FINGER_KEYS)
         links, name = self.values.get("links"), self.text("name")
         if name is None or not isinstance(links, list) or not links or not all(isinstance(v, str) for v in links):
-            raise RobotDescriptionError(f"{self.where}: expected a name and a list of link names, e.g. links = ['tip'].")
+            raise RobotDescriptionError(
+                f"{self.where}: expected a name and a list of link names, e.g. links = ['tip']."
+            )
         return FingerNotes(name=name, links=tuple(links), thumb=bool(self.flag("thumb")))
 
 

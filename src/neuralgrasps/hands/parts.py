@@ -11,7 +11,9 @@ from neuralgrasps.geometry.mesh import Mesh, box_mesh, capsule_mesh, cylinder_me
 from neuralgrasps.geometry.shape_kernels import box_sdf, capsule_sdf, convex_sdf, cylinder_sdf, sphere_sdf
 from neuralgrasps.hands.hand import ConvexPart, PartKind
 
-_BOX, _SPHERE, _CAPSULE, _CYLINDER = (int(k) for k in (PartKind.BOX, PartKind.SPHERE, PartKind.CAPSULE, PartKind.CYLINDER))
+_BOX, _SPHERE, _CAPSULE, _CYLINDER = (
+    int(k) for k in (PartKind.BOX, PartKind.SPHERE, PartKind.CAPSULE, PartKind.CYLINDER)
+)
 _PLASTIC = 0.7548776662466927  # the plastic number's powers give the evenest 2-d additive sequence (Roberts 2018, "R2")
 
 
