@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.etree.ElementTree import Element
 
 import mujoco
 import numpy as np
@@ -20,7 +21,8 @@ from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
 
 MAX_INCLUDES = 64
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+FREE, JOINT_EQUALITY = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtEq.mjEQ_JOINT)
+NUMBERS = ("body_pos", "body_quat", "body_ipos", "geom_pos", "geom_quat", "geom_size", "jnt_pos", "jnt_axis", "qpos0")
 
 
 def load_mjcf(path: str | Path) -> RobotDescription:
@@ -43,6 +45,9 @@ def load_mjcf(path: str | Path) -> RobotDescription:
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise RobotDescriptionError(f"MJCF '{path.name}' was refused by MuJoCo: {reason}") from None
+    bad = [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]
+    if bad:
+        raise RobotDescriptionError(f"MJCF '{path.name}' has numbers that are not finite ({', '.join(bad)}).")
     return _Reader(path=path, model=model).description()
 
 
@@ -57,7 +62,18 @@ def _check_safe(path: Path) -> None:
         if len(seen) > MAX_INCLUDES:
             raise RobotDescriptionError(f"MJCF '{path.name}' includes more than {MAX_INCLUDES} files.")
         root = read_xml(current, root_tag=root_tag if current == path else None, kind="MJCF")
+        _check_numbers(current, root)
         todo.extend(path.parent / name for e in root.iter("include") if (name := e.get("file")))
+
+
+def _check_numbers(path: Path, root: Element) -> None:
+    """Refuse NaN here: MuJoCo only warns about it, into a file in the working folder."""
+    for element in root.iter():
+        for key, text in element.attrib.items():
+            if "nan" in text.lower().split():
+                raise RobotDescriptionError(
+                    f"MJCF '{path.name}': {key} of <{element.tag}> is '{text}'; expected finite numbers."
+                )
 
 
 @dataclass(slots=True, kw_only=True)
@@ -158,13 +174,14 @@ class _Reader:
         return JointSpec(name=name, parent=parent, child=child, joint_type=FIXED, X_PJ=X_PJ, axis=np.zeros(3))
 
     def _moving(
-        self, j: int, parent: str, child: str, X_PJ: np.ndarray, effort: float | None, mimic: Mimic | float | None
+        self, j: int, parent: str, child: str, X_PJ: np.ndarray, effort: float | None, coupled: Mimic | float | None
     ) -> JointSpec:
         model = self.model
         lower, upper = (float(v) for v in model.jnt_range[j])
         limited = bool(model.jnt_limited[j])
-        if isinstance(mimic, float):
-            lower, upper, limited, mimic = mimic, mimic, True, None
+        mimic = coupled if isinstance(coupled, Mimic) else None
+        if isinstance(coupled, float):
+            lower, upper, limited = coupled, coupled, True
         return JointSpec(
             name=self.joint_name(j),
             parent=parent,
@@ -183,7 +200,7 @@ class _Reader:
         """Active joint equalities by dependent joint: q1 - ref1 = a0 + a1 (q2 - ref2) + ..., or a constant."""
         model, found = self.model, dict[int, Mimic | float]()
         for e in range(model.neq):
-            if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e]:
+            if model.eq_type[e] != JOINT_EQUALITY or not model.eq_active0[e]:
                 continue
             first, second, a = int(model.eq_obj1id[e]), int(model.eq_obj2id[e]), model.eq_data[e, :5]
             if first in found:
@@ -204,8 +221,8 @@ class _Reader:
         """(a0, a1), or the best line over the second joint's range where the equality is curved."""
         if not np.any(a[2:]):
             return float(a[0]), float(a[1])
-        limited = bool(self.model.jnt_limited[second])
-        x = np.linspace(*(self.model.jnt_range[second] if limited else (-math.pi, math.pi)), 101) - ref2
+        lower, upper = self.model.jnt_range[second] if self.model.jnt_limited[second] else (-math.pi, math.pi)
+        x = np.linspace(lower, upper, 101) - ref2
         y = np.polynomial.polynomial.polyval(x, a)
         constant, slope = np.polynomial.polynomial.polyfit(x, y, 1)
         worst = float(np.max(np.abs(constant + slope * x - y)))

@@ -58,6 +58,8 @@ class _Reader:
     with_visuals: bool
     skip_missing: bool
     notes: list[str] = field(default_factory=list)
+    continuous: list[str] = field(default_factory=list)
+    lost_visuals: list[str] = field(default_factory=list)
     meshes: MeshFinder = field(init=False)
     colours: dict[str, Colour] = field(init=False)
 
@@ -89,7 +91,7 @@ class _Reader:
         tree = build_tree(self.source, list(elements), joints, self.notes)
         geometries = tuple(g for i, n in enumerate(tree.link_names) for g in self._geometries(i, elements[n]))
         inertials = tuple(self._inertial(n, elements[n]) for n in tree.link_names)
-        self._note_if_unmoving(tree)
+        self._note_groups(tree)
         return RobotDescription(
             name=self.root.get("name", "") or self.path.stem,
             tree=tree,
@@ -104,13 +106,18 @@ class _Reader:
     def _drop_loose_links(self, elements: dict[str, Element], joints: list[JointSpec]) -> None:
         """Drop links that no joint names and that have no shape, when there are others."""
         joined = {name for j in joints for name in (j.parent, j.child)}
-        loose = [n for n in elements if joined and n not in joined]
+        all_known = bool(joined) and joined <= elements.keys()
+        loose = [n for n in elements if n not in joined] if all_known else []
         for name in loose:
             if elements[name].find("collision") is None and elements[name].find("visual") is None:
                 self.notes.append(f"link '{name}' has neither joint nor shape: dropped.")
                 del elements[name]
 
-    def _note_if_unmoving(self, tree: KinematicTree) -> None:
+    def _note_groups(self, tree: KinematicTree) -> None:
+        if self.continuous:
+            self.notes.append(f"continuous joints were given the limits -pi..pi: {', '.join(self.continuous)}.")
+        if self.lost_visuals:
+            self.notes.append(f"visual meshes are missing or unreadable, left out: {', '.join(self.lost_visuals)}.")
         if not tree.num_dofs:
             self.notes.append("the robot has no movable joint.")
 
@@ -121,7 +128,8 @@ class _Reader:
         if problems or not collision or self.with_visuals:
             lost: list[str] = []
             visual = [g for e in element.findall("visual") for g in self._shape(link, name, e, True, lost)]
-            self.notes.extend(f"link '{name}': {p} The visual shape was left out." for p in lost)
+            if lost:
+                self.lost_visuals.append(name)
         else:
             visual = []
         if problems and not visual and not self.skip_missing:
@@ -207,7 +215,7 @@ class _Reader:
         lower, upper, effort = self._limits(element, where)
         if element.get("type") == "continuous":
             lower, upper = -math.pi, math.pi
-            self.notes.append(f"{where} is continuous: limits -pi..pi set.")
+            self.continuous.append(name)
         return JointSpec(
             name=name,
             parent=self._reference(element, "parent", where),

@@ -39,7 +39,7 @@ class MeshFinder:
         Args:
             reference: the path as the URDF writes it.
             scale: the `scale` attribute; None when absent.
-            tell: whether repairs of the mesh itself are noted (collision shapes) or not (visual ones).
+            tell: whether defects of the mesh are noted (collision shapes) or not (visual ones).
         Raises:
             MeshNotFoundError: no such file near the URDF.
             MeshError: the file cannot be read.
@@ -48,8 +48,8 @@ class MeshFinder:
         if key not in self._loaded:
             path = self.find(reference)
             loaded = load_mesh(path, unit="m")
-            if tell:
-                self.notes.extend(f"mesh '{path.name}': {r}" for r in loaded.repairs)
+            if tell and not loaded.closed:
+                self.notes.append(f"mesh '{path.name}' is not closed: only its convex hull is reliable.")
             self._loaded[key] = self._in_metres(loaded.mesh, path.name, scale)
         return self._loaded[key]
 
@@ -67,7 +67,7 @@ class MeshFinder:
         if np.prod(factors) < 0:
             self.notes.append(f"mesh '{name}' is mirrored by a negative scale; its faces were turned to point outward.")
             faces = np.ascontiguousarray(faces[:, ::-1])
-        return Mesh(vertices=mesh.vertices * factors, faces=faces)
+        return Mesh(mesh.vertices * factors, faces)
 
     def find(self, reference: str) -> Path:
         """Path of the file that `reference` means; raises `MeshNotFoundError`."""
