@@ -13,21 +13,11 @@ import numpy as np
 from numba import njit
 
 from neuralgrasps.geometry.sdf_grid import grid_distance
+from neuralgrasps.grasps.contact import link_pose_in_object
 from neuralgrasps.kinematics.forward_kernels import link_poses
 
 CONTACT_M = 3.0e-4  # a link closer than this touches
 MAX_STEPS = 80
-
-
-@njit(cache=True, error_model="numpy")
-def _compose(X_OH, X_HL, link, out):
-    """out (3, 4) = pose of one link in the object frame."""
-    for r in range(3):
-        for c in range(4):
-            out[r, c] = (
-                X_OH[r, 0] * X_HL[link, 0, c] + X_OH[r, 1] * X_HL[link, 1, c] + X_OH[r, 2] * X_HL[link, 2, c]
-            )
-        out[r, 3] += X_OH[r, 3]
 
 
 @njit(cache=True, error_model="numpy")
@@ -61,7 +51,7 @@ def hand_clearance(values, origin, inv_spacing, packed, X_OH, X_HL):
     for link in range(packed.link_radius.shape[0]):
         if packed.link_point_start[link] == packed.link_point_start[link + 1]:
             continue
-        _compose(X_OH, X_HL, link, X)
+        link_pose_in_object(X_OH, X_HL, link, X)
         if _bound(values, origin, inv_spacing, packed, X, link) < best:
             best = min(best, _link_distance(values, origin, inv_spacing, packed, X, link))
     return best
@@ -135,7 +125,7 @@ def close_fingers(values, origin, inv_spacing, packed, X_OH, q, X_HL):
             speed = _speed_bound(packed, X_HL, link, rate, active)
             if speed == 0.0:
                 continue
-            _compose(X_OH, X_HL, link, X)
+            link_pose_in_object(X_OH, X_HL, link, X)
             distance = _bound(values, origin, inv_spacing, packed, X, link)
             if distance < step * speed + CONTACT_M:
                 distance = _link_distance(values, origin, inv_spacing, packed, X, link)
@@ -174,7 +164,7 @@ def close_jaw(values, origin, inv_spacing, packed, side, axis_H, X_OH, q, X_HL):
         for link in range(side.shape[0]):
             if packed.link_point_start[link] == packed.link_point_start[link + 1]:
                 continue
-            _compose(X_OH, X_HL, link, X)
+            link_pose_in_object(X_OH, X_HL, link, X)
             distance = _link_distance(values, origin, inv_spacing, packed, X, link)
             if side[link] > 0:
                 plus = min(plus, distance)

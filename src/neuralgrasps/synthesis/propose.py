@@ -14,7 +14,7 @@ from numba import njit
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand
-from neuralgrasps.kinematics.forward_kernels import forward_numpy
+from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.close import hand_clearance
 
@@ -107,7 +107,7 @@ def propose_jaw(
     exits, keep = np.zeros_like(start), np.zeros(count, np.bool_)
     sdf = obj.sdf
     _antipodal_pairs(
-        sdf.values, sdf.origin, 1.0 / sdf.spacing, start, np.ascontiguousarray(direction),
+        sdf.values, sdf.origin, sdf.inv_spacing, start, np.ascontiguousarray(direction),
         jaw_aperture(hand) - 2.0e-3, math.cos(math.atan(friction)), exits, keep,
     )  # fmt: skip
     start, exits, direction, roll, depth = (a[keep] for a in (start, exits, direction, roll, depth))
@@ -165,7 +165,7 @@ def propose_dexterous(
     travel = np.empty(count)
     sdf = obj.sdf
     _advance_to_contact(
-        sdf.values, sdf.origin, 1.0 / sdf.spacing, packed, X_OH, forward_numpy(hand.tree, q),
+        sdf.values, sdf.origin, sdf.inv_spacing, packed, X_OH, forward_fast(hand.tree, q),
         approach, 1.0e-3, reach + 0.05, travel,
     )  # fmt: skip
     hit = travel > 0.0

@@ -1,0 +1,218 @@
+"""From start poses to assessed grasps: close, find contacts, epsilon, penetration; and refine by local search."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numba import njit
+
+from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
+from neuralgrasps.grasps.contact import find_contacts
+from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
+from neuralgrasps.grasps.wrench_space import characteristic_length, epsilon, epsilon_upper_bound, fill_grasp_wrenches
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.packed import PackedHand, pack_hand
+from neuralgrasps.kinematics.forward_kernels import forward_numpy
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.synthesis.close import close_fingers, close_jaw, hand_clearance
+
+CONE_EDGES = 8
+CONTACTS_PER_LINK = 3
+SCREEN_SPACING_M = 0.009
+CHECK_SPACING_M = 0.004
+# Outcome of one candidate, from first to last obstacle.
+COLLIDES, FEW_CONTACTS, NO_FORCE_CLOSURE, PENETRATES, SELF_COLLIDES, VALID = range(6)
+OUTCOMES = ("collides", "few contacts", "no force closure", "penetrates", "self-collides", "valid")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidates:
+    """Closed hands around one object.
+
+    Attributes:
+        X_OH: (N, 4, 4); q: (N, J) after closing; q_start: (N, J) before it.
+        epsilon: (N,) Ferrari-Canny quality, 0 unless the outcome is VALID.
+        penetration_m: (N,) deepest overlap, metres, measured at the screening spacing.
+        outcome: (N,) int8, one of `OUTCOMES`.
+    """
+
+    X_OH: np.ndarray
+    q: np.ndarray
+    q_start: np.ndarray
+    epsilon: np.ndarray
+    penetration_m: np.ndarray
+    outcome: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def take(self, index: np.ndarray) -> Candidates:
+        """The candidates at `index` (mask or integers)."""
+        return Candidates(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    @staticmethod
+    def join(parts: list[Candidates]) -> Candidates:
+        """All candidates of `parts`, in order."""
+        return Candidates(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Candidates)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspProblem:
+    """One hand and one object, packed for the compiled kernels."""
+
+    hand: Hand
+    obj: ObjectModel
+    packed: PackedHand
+    side: np.ndarray
+    axis_H: np.ndarray
+    length: float
+    friction: float
+    torsion: float
+    contact_threshold_m: float
+    max_penetration_m: float
+
+    @property
+    def sdf_arrays(self) -> tuple[np.ndarray, np.ndarray, float]:
+        return self.obj.sdf.values, self.obj.sdf.origin, self.obj.sdf.inv_spacing
+
+
+def make_problem(
+    hand: Hand,
+    obj: ObjectModel,
+    *,
+    spacing: float = SCREEN_SPACING_M,
+    friction: float,
+    torsion: float,
+    contact_threshold_m: float,
+    max_penetration_m: float,
+) -> GraspProblem:
+    """Pack `hand` and `obj`. For a jaw, find which links close along the palm's x axis and which against it."""
+    side = np.zeros(hand.tree.num_links, np.int8)
+    axis_H = np.ascontiguousarray(hand.X_HP[:3, 0])
+    if hand.is_jaw:
+        opened, closed = forward_numpy(hand.tree, np.stack([hand.tree.upper, hand.tree.lower]))
+        side[:] = np.sign(np.round((closed - opened)[:, :3, 3] @ axis_H, 9)).astype(np.int8)
+    return GraspProblem(
+        hand=hand,
+        obj=obj,
+        packed=pack_hand(hand, spacing=spacing),
+        side=side,
+        axis_H=axis_H,
+        length=characteristic_length(obj.points_O, obj.com_O),
+        friction=friction,
+        torsion=torsion,
+        contact_threshold_m=contact_threshold_m,
+        max_penetration_m=max_penetration_m,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _close_and_assess(
+    values, origin, inv_spacing, packed, is_jaw, side, axis_H, points_O, com, length, friction, torsion, threshold,
+    max_penetration, X_OH, q, eps, penetration, outcome,
+):  # fmt: skip
+    links = packed.link_radius.shape[0]
+    X_HL = np.zeros((links, 4, 4))
+    room = links * CONTACTS_PER_LINK
+    points, normals = np.empty((room, 3)), np.empty((room, 3))
+    contact_links = np.empty(room, np.int32)
+    wrenches = np.empty((room * (CONE_EDGES + 2), 6))
+    for i in range(q.shape[0]):
+        eps[i] = 0.0
+        penetration[i] = 0.0
+        if is_jaw:
+            closed = close_jaw(values, origin, inv_spacing, packed, side, axis_H, X_OH[i], q[i], X_HL)
+        else:
+            closed = close_fingers(values, origin, inv_spacing, packed, X_OH[i], q[i], X_HL)
+        if not closed:
+            outcome[i] = COLLIDES
+            continue
+        count = find_contacts(
+            values, origin, inv_spacing, packed, X_OH[i], X_HL, threshold, CONTACTS_PER_LINK,
+            points, normals, contact_links,
+        )  # fmt: skip
+        touching = 0
+        for c in range(count):
+            if c == 0 or contact_links[c] != contact_links[c - 1]:
+                touching += 1
+        if touching < 2:
+            outcome[i] = FEW_CONTACTS
+            continue
+        rows = fill_grasp_wrenches(points, normals, count, com, friction, CONE_EDGES, torsion, length, wrenches)
+        if epsilon_upper_bound(wrenches[:rows]) <= 0.0:
+            outcome[i] = NO_FORCE_CLOSURE
+            continue
+        quality = epsilon(wrenches[:rows], 8)
+        if quality <= 0.0:
+            outcome[i] = NO_FORCE_CLOSURE
+            continue
+        depth = max(
+            -hand_clearance(values, origin, inv_spacing, packed, X_OH[i], X_HL),
+            object_points_in_hand(points_O, values, origin, inv_spacing, packed, X_OH[i], X_HL),
+        )
+        penetration[i] = max(depth, 0.0)
+        if depth > max_penetration:
+            outcome[i] = PENETRATES
+            continue
+        depth = self_penetration(packed, X_HL)
+        if depth > max_penetration:
+            outcome[i] = SELF_COLLIDES
+            continue
+        penetration[i] = max(penetration[i], depth)
+        eps[i] = quality
+        outcome[i] = VALID
+
+
+def close_and_assess(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> Candidates:
+    """Close every hand from its start (N poses and postures) and assess it."""
+    hand, obj = problem.hand, problem.obj
+    X_OH, q_start = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q)
+    closed, count = q_start.copy(), len(q_start)
+    eps, depth, outcome = np.zeros(count), np.zeros(count), np.zeros(count, np.int8)
+    _close_and_assess(
+        *problem.sdf_arrays, problem.packed, hand.is_jaw, problem.side, problem.axis_H, obj.points_O, obj.com_O,
+        problem.length, problem.friction, problem.torsion, problem.contact_threshold_m, problem.max_penetration_m,
+        X_OH, closed, eps, depth, outcome,
+    )  # fmt: skip
+    return Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=eps, penetration_m=depth, outcome=outcome)
+
+
+def perturb(
+    hand: Hand, seeds: Candidates, *, scale: float, children: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """`children` start poses around each seed: 6 mm, 0.1 rad and 10 % of the preshape range, all times `scale`.
+
+    Returns X_OH (N * children, 4, 4) and q (N * children, J); children of one seed are neighbours.
+    """
+    count = len(seeds) * children
+    X_OH = np.repeat(seeds.X_OH, children, axis=0)
+    turn = rng.standard_normal((count, 3)) * (0.1 * scale)
+    angle = np.linalg.norm(turn, axis=1)
+    R = axis_angle_matrix(turn, angle)
+    palm = X_OH @ hand.X_HP
+    X_OH[:, :3, :3] = R @ X_OH[:, :3, :3]
+    # turn about the palm, not about the wrist
+    X_OH[:, :3, 3] += palm[:, :3, 3] - (X_OH @ hand.X_HP)[:, :3, 3]
+    X_OH[:, :3, 3] += rng.standard_normal((count, 3)) * (0.006 * scale)
+    span = hand.preshape_upper - hand.preshape_lower
+    q = np.repeat(seeds.q_start, children, axis=0)
+    q = q + rng.standard_normal((count, hand.num_dofs)) * (0.1 * scale) * span
+    return X_OH, np.clip(q, hand.preshape_lower, hand.preshape_upper)
+
+
+def refine(
+    problem: GraspProblem, seeds: Candidates, *, generations: int, children: int, rng: np.random.Generator
+) -> Candidates:
+    """Local search without derivatives: perturb, close again, keep the better epsilon; the scale shrinks by 0.7."""
+    best = seeds
+    for generation in range(generations):
+        X_OH, q = perturb(problem.hand, best, scale=0.7**generation, children=children, rng=rng)
+        tried = close_and_assess(problem, X_OH, q)
+        score = tried.epsilon.reshape(len(best), children)
+        winner = score.argmax(axis=1) + np.arange(len(best)) * children
+        better = tried.epsilon[winner] > best.epsilon
+        index = np.where(better, len(best) + winner, np.arange(len(best)))
+        best = Candidates.join([best, tried]).take(index)
+    return best
+

@@ -1,0 +1,96 @@
+"""Joint targets around a closed grasp: the squeeze that presses on the object, and the pre-grasp it closes from."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from neuralgrasps.grasps.force_qp import contact_forces
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.kinematics.jacobian import point_jacobian
+from neuralgrasps.kinematics.tree import PRISMATIC
+
+EFFORT_SHARE = 0.9  # of the torque limit that the squeeze may use
+CLOSING_BIAS_RAD = 0.05  # every closing joint of a dexterous hand aims this much further
+JAW_SQUEEZE_M = 0.010  # a jaw's target lies this far past contact
+PREGRASP_RAD = 0.12  # closing joints start this far back
+PREGRASP_JAW_M = 0.010
+
+
+def joint_scale(hand: Hand, revolute: float, prismatic: float) -> np.ndarray:
+    """(J,) `prismatic` for joints that slide, `revolute` for the others."""
+    slides = ((hand.tree.joint_types == PRISMATIC)[:, None] & (hand.tree.coupling != 0)).any(axis=0)
+    return np.where(slides, prismatic, revolute)
+
+
+def pregrasp_joints(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(N, J) postures a little more open than `q`, within the limits; the object is free of them."""
+    back = joint_scale(hand, PREGRASP_RAD, PREGRASP_JAW_M)
+    opened = q - np.sign(hand.closing_rate) * back * np.abs(hand.closing_rate) / np.abs(hand.closing_rate).max()
+    return np.clip(opened, hand.tree.lower, hand.tree.upper)
+
+
+@njit(cache=True, error_model="numpy")
+def _contact_torques(parents, joint_types, axes, coupling, X_HL, R_HO, X_HO_p, points_O, forces_O, links, out):
+    """out (J,) = sum of J_c' f_c: joint torques that exert `forces_O` on the object."""
+    jacobian = np.empty((3, out.shape[0]))
+    point, force = np.empty(3), np.empty(3)
+    out[:] = 0.0
+    for c in range(links.shape[0]):
+        if links[c] < 0:
+            continue
+        for r in range(3):
+            point[r] = X_HO_p[r]
+            force[r] = 0.0
+            for k in range(3):
+                point[r] += R_HO[r, k] * points_O[c, k]
+                force[r] += R_HO[r, k] * forces_O[c, k]
+        point_jacobian(parents, joint_types, axes, coupling, X_HL, links[c], point, jacobian)
+        for j in range(out.shape[0]):
+            for r in range(3):
+                out[j] += jacobian[r, j] * force[r]
+
+
+def contact_torques(
+    hand: Hand, X_OH: np.ndarray, X_HL: np.ndarray, points_O: np.ndarray, forces_O: np.ndarray, links: np.ndarray
+) -> np.ndarray:
+    """(J,) joint torques, N m or N, that exert `forces_O` (C, 3) at `points_O` (C, 3) with `links` (C,)."""
+    tree, R_HO, torque = hand.tree, np.ascontiguousarray(X_OH[:3, :3].T), np.empty(hand.num_dofs)
+    _contact_torques(
+        tree.parents, tree.joint_types, tree.axes, tree.coupling, X_HL, R_HO, -R_HO @ X_OH[:3, 3],
+        points_O, forces_O, links, torque,
+    )  # fmt: skip
+    return torque
+
+
+def squeeze_joints(
+    hand: Hand,
+    q: np.ndarray,
+    X_OH: np.ndarray,
+    X_HL: np.ndarray,
+    contacts: tuple[np.ndarray, np.ndarray, np.ndarray],
+    com_O: np.ndarray,
+    *,
+    friction: float,
+    stiffness: np.ndarray,
+) -> np.ndarray:
+    """Position targets (J,) whose servo torques press on the object without pushing it away.
+
+    Contact forces of least net wrench come from a quadratic programme over the friction cones; their joint
+    torques are scaled until one reaches `EFFORT_SHARE` of its limit; target = q + torque / stiffness.
+
+    Args:
+        hand: the hand; q: (J,) closed posture; X_OH (4, 4); X_HL (L, 4, 4) link poses at q.
+        contacts: points (C, 3) and outward normals (C, 3) in O, links (C,), without padding.
+        com_O: (3,) centre of mass.
+        friction: Coulomb coefficient.
+        stiffness: (J,) servo gain, N m/rad or N/m.
+    """
+    if hand.is_jaw:
+        return q + np.sign(hand.closing_rate) * JAW_SQUEEZE_M
+    points, normals, links = contacts
+    balance = contact_forces(points, normals, com_O, friction)
+    torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links)
+    share = np.abs(torque / hand.tree.effort).max()
+    target = q + torque / max(share, 1e-9) * EFFORT_SHARE / stiffness
+    return target + np.sign(hand.closing_rate) * CLOSING_BIAS_RAD

@@ -1,0 +1,283 @@
+"""Synthesise diverse grasps of one object by one hand, each proven in physics."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.grasps.contact import find_contacts
+from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate, empty_grasps
+from neuralgrasps.grasps.penetration import penetration_depths
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.kinematics.forward_kernels import forward_fast
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.seeds import child_rng
+from neuralgrasps.sim.grasp_trial import validate_grasps
+from neuralgrasps.sim.protocols import get_protocol
+from neuralgrasps.synthesis.candidates import (
+    CHECK_SPACING_M,
+    CONTACTS_PER_LINK,
+    OUTCOMES,
+    VALID,
+    Candidates,
+    GraspProblem,
+    close_and_assess,
+    make_problem,
+    refine,
+)
+from neuralgrasps.synthesis.propose import Proposals, jaw_aperture, propose_dexterous, propose_jaw
+from neuralgrasps.synthesis.select import diverse_order
+from neuralgrasps.synthesis.squeeze import joint_scale, pregrasp_joints, squeeze_joints
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SynthesisConfig:
+    """How grasps are made.
+
+    Attributes:
+        count: validated grasps wanted.
+        batch: proposals per round; max_rounds: rounds before giving up.
+        protocol: physics protocol that decides (see `sim.protocols`).
+        friction: Coulomb coefficient for epsilon; torsion_m: torsional friction, metres. As in the protocol.
+        max_penetration_m: a grasp that overlaps the object or itself by more, at 4 mm point spacing, is dropped.
+        contact_threshold_m: hand points nearer than this to the object are contacts.
+        niches: diverse candidates that are refined in each round; generations, children: of the refinement.
+        pad_depth_m: largest offset of the object's middle from the middle of a jaw's pads along the approach.
+    """
+
+    count: int = 60
+    batch: int = 4096
+    max_rounds: int = 12
+    protocol: str = "dexgraspbench"
+    friction: float = 0.6
+    torsion_m: float = 0.02
+    max_penetration_m: float = 1.0e-3
+    contact_threshold_m: float = 2.5e-3
+    niches: int = 180
+    generations: int = 3
+    children: int = 8
+    pad_depth_m: float = 0.012
+
+    def __post_init__(self) -> None:
+        for name in ("count", "batch", "max_rounds", "niches", "children"):
+            if getattr(self, name) < 1:
+                raise InputError(f"synthesis: {name} is {getattr(self, name)}; expected at least 1.")
+        if not 0 < self.friction < 5:
+            raise InputError(f"synthesis: friction is {self.friction}; expected a Coulomb coefficient in (0, 5).")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SynthesisResult:
+    """What `synthesise` made, and what it cost.
+
+    Attributes:
+        grasps: up to `count` validated grasps in farthest-point order (any prefix is diverse).
+        converged: `count` was reached.
+        proposals: start poses tried; outcomes: how many ended how (`OUTCOMES`), refinement not counted.
+        tried: grasps that went into physics; validated: how many held.
+        cpu_s: CPU-seconds per stage of this process.
+        reason: why fewer than `count` were found; "" when converged.
+        seed: the seed.
+    """
+
+    grasps: GraspSet
+    converged: bool
+    proposals: int
+    outcomes: Mapping[str, int]
+    tried: int
+    validated: int
+    cpu_s: Mapping[str, float]
+    reason: str
+    seed: int
+
+    @property
+    def physics_success(self) -> float:
+        """Share of the grasps tried in physics that held; nan when none was tried."""
+        return self.validated / self.tried if self.tried else float("nan")
+
+
+@dataclass(slots=True)
+class _Stopwatch:
+    cpu_s: dict[str, float] = field(default_factory=dict)
+
+    def add(self, stage: str, start: float) -> None:
+        self.cpu_s[stage] = self.cpu_s.get(stage, 0.0) + time.process_time() - start
+
+
+def synthesise(
+    hand: Hand,
+    obj: ObjectModel,
+    *,
+    config: SynthesisConfig | None = None,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+) -> SynthesisResult:
+    """Make `config.count` diverse grasps, every one held by the physics protocol.
+
+    Rounds of: propose, close, assess, refine the diverse best, then try in physics in farthest-point order until
+    the count is reached. The result depends on the hand, the object, the config and the seed only.
+
+    Args:
+        hand: any hand; obj: any object.
+        config: see `SynthesisConfig`.
+        seed: root of every random number.
+        progress: called with (validated so far, wanted).
+    Returns:
+        A result; `converged` is False, with a reason, when fewer grasps were found.
+    Source:
+        Khargonkar et al. 2022 use GraspIt! simulated annealing and keep force-closure grasps; this differs throughout.
+    """
+    config = config or SynthesisConfig()
+    problem = make_problem(
+        hand, obj, friction=config.friction, torsion=config.torsion_m,
+        contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
+    )  # fmt: skip
+    fine = make_problem(
+        hand, obj, spacing=CHECK_SPACING_M, friction=config.friction, torsion=config.torsion_m,
+        contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
+    )  # fmt: skip
+    watch = _Stopwatch()
+    kept: list[GraspSet] = []
+    outcomes = np.zeros(len(OUTCOMES), np.int64)
+    proposals = tried = held = 0
+    for round_index in range(config.max_rounds):
+        rng = child_rng(seed, hand.name, obj.content_hash, round_index)
+        start = time.process_time()
+        drawn = _propose(problem, config, rng)
+        proposals += config.batch
+        closed = close_and_assess(problem, drawn.X_OH, drawn.q)
+        outcomes += np.bincount(closed.outcome, minlength=len(OUTCOMES))
+        watch.add("propose and close", start)
+        start = time.process_time()
+        refined = _refine_diverse(problem, closed.take(closed.outcome == VALID), config, rng)
+        watch.add("refine", start)
+        start = time.process_time()
+        grasps = finish_grasps(fine, refined, config=config, seed=seed)
+        watch.add("check", start)
+        start = time.process_time()
+        good, used = _prove(hand, obj, grasps, config, wanted=config.count - held)
+        watch.add("physics", start)
+        tried, held = tried + used, held + len(good)
+        kept.append(good)
+        if progress is not None:
+            progress(min(held, config.count), config.count)
+        if held >= config.count or (round_index >= 2 and outcomes[VALID] == 0):
+            break
+    grasps = _in_diverse_order(hand, concatenate(kept))
+    return SynthesisResult(
+        grasps=grasps,
+        converged=held >= config.count,
+        proposals=proposals,
+        outcomes=dict(zip(OUTCOMES, outcomes.tolist(), strict=True)),
+        tried=tried,
+        validated=held,
+        cpu_s=watch.cpu_s,
+        reason="" if held >= config.count else _reason(problem, outcomes, held, tried, config),
+        seed=seed,
+    )
+
+
+def _propose(problem: GraspProblem, config: SynthesisConfig, rng: np.random.Generator) -> Proposals:
+    if problem.hand.is_jaw:
+        return propose_jaw(
+            problem.hand, problem.obj, count=config.batch, friction=config.friction,
+            pad_depth_m=config.pad_depth_m, rng=rng,
+        )  # fmt: skip
+    return propose_dexterous(problem.hand, problem.packed, problem.obj, count=config.batch, rng=rng)
+
+
+def _refine_diverse(
+    problem: GraspProblem, valid: Candidates, config: SynthesisConfig, rng: np.random.Generator
+) -> Candidates:
+    """The better half by epsilon, thinned to `niches` diverse ones, each improved by local search, best first."""
+    if len(valid) == 0:
+        return valid
+    best = valid.take(np.argsort(-valid.epsilon, kind="stable")[: max(config.niches, (len(valid) + 1) // 2)])
+    niches = best.take(diverse_order(problem.hand, best.X_OH, best.q, start=0, count=config.niches))
+    refined = refine(problem, niches, generations=config.generations, children=config.children, rng=rng)
+    return refined.take(
+        diverse_order(problem.hand, refined.X_OH, refined.q, start=int(refined.epsilon.argmax()))
+    )
+
+
+def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisConfig, seed: int) -> GraspSet:
+    """Candidates with contacts, squeeze and pre-grasp; those that overlap too deeply at 4 mm spacing are dropped."""
+    hand, obj = fine.hand, fine.obj
+    depths = penetration_depths(fine.packed, obj.sdf, obj.points_O, X_OH=closed.X_OH, q=closed.q)
+    depth = depths.deepest
+    closed, depth = closed.take(depth <= config.max_penetration_m), depth[depth <= config.max_penetration_m]
+    if len(closed) == 0:
+        return empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
+    count, room = len(closed), hand.tree.num_links * CONTACTS_PER_LINK
+    points = np.full((count, room, 3), np.nan)
+    normals = np.full((count, room, 3), np.nan)
+    links = np.full((count, room), -1, np.int32)
+    squeeze = np.empty_like(closed.q)
+    protocol = get_protocol(config.protocol)
+    stiffness = joint_scale(hand, protocol.revolute.kp, protocol.prismatic.kp)
+    X_HL = forward_fast(hand.tree, closed.q)
+    for i in range(count):
+        found = find_contacts(
+            *fine.sdf_arrays, fine.packed, closed.X_OH[i], X_HL[i], config.contact_threshold_m, CONTACTS_PER_LINK,
+            points[i], normals[i], links[i],
+        )  # fmt: skip
+        points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
+        squeeze[i] = squeeze_joints(
+            hand, closed.q[i], closed.X_OH[i], X_HL[i],
+            (points[i, :found], normals[i, :found], links[i, :found]), obj.com_O,
+            friction=config.friction, stiffness=stiffness,
+        )  # fmt: skip
+    used = int((links >= 0).sum(axis=1).max())
+    return GraspSet(
+        hand=hand.name,
+        object=obj.name,
+        X_OH=closed.X_OH,
+        q=closed.q,
+        q_pregrasp=pregrasp_joints(hand, closed.q),
+        q_squeeze=squeeze,
+        contact_points_O=points[:, :used],
+        contact_normals_O=normals[:, :used],
+        contact_links=links[:, :used],
+        epsilon=closed.epsilon,
+        penetration_m=depth,
+        protocol=config.protocol,
+        seed=seed,
+        config={name: str(value) for name, value in asdict(config).items()},
+    )
+
+
+def _prove(
+    hand: Hand, obj: ObjectModel, grasps: GraspSet, config: SynthesisConfig, *, wanted: int
+) -> tuple[GraspSet, int]:
+    """The grasps that hold, tried in order until `wanted` do; and how many were tried."""
+    if len(grasps) == 0:
+        return grasps, 0
+    verdict: Verdict = validate_grasps(hand, obj, grasps, config.protocol, stop_after=wanted)
+    used = len(verdict)
+    judged = grasps[:used].with_verdict(config.protocol, verdict)
+    return judged[judged.validated], used
+
+
+def _in_diverse_order(hand: Hand, grasps: GraspSet) -> GraspSet:
+    if len(grasps) < 2:
+        return grasps
+    return grasps[diverse_order(hand, grasps.X_OH, grasps.q, start=int(grasps.epsilon.argmax()))]
+
+
+def _reason(problem: GraspProblem, outcomes: np.ndarray, held: int, tried: int, config: SynthesisConfig) -> str:
+    """One plain sentence on why fewer grasps than wanted were found."""
+    total = int(outcomes.sum())
+    if total == 0 and problem.hand.is_jaw:
+        size = np.sort(problem.obj.mesh.extents)
+        return (
+            f"no two opposite surface points fit the aperture of {jaw_aperture(problem.hand) * 1e3:.0f} mm within friction "
+            f"{config.friction:g}; the object measures {' x '.join(f'{s * 1e3:.0f}' for s in size)} mm"
+        )
+    if outcomes[VALID] == 0:
+        worst = int(outcomes[:VALID].argmax())
+        return f"none of {total} closed hands is a valid grasp; most fail because: {OUTCOMES[worst]}"
+    return f"{held} of {tried} grasps held '{config.protocol}'; {config.count} were wanted in {config.max_rounds} rounds"
