@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,10 +72,11 @@ def repair_mesh(
         raise MeshError(f"{source} has no face with finite vertices; export it again.")
     v = v * _scale(v, unit, repairs)
     v, f = mesh_repair.merge_equal_vertices(v, f, repairs)
-    v, f = mesh_repair.weld_seams(v, f, repairs) if len(f) else (v, f)
-    v, f = mesh_repair.drop_useless_faces(v, f, repairs)
-    if not len(f) or not np.ptp(v, axis=0).max() > 0:
+    f = mesh_repair.drop_useless_faces(f, repairs)
+    if not len(f):
         raise MeshError(f"{source} has only faces without area; expected a surface that encloses a volume.")
+    v, f = mesh_repair.weld_seams(v, f, repairs)
+    f = mesh_repair.drop_useless_faces(f, repairs)
     if mesh_repair.is_flat(v[f].reshape(-1, 3)):
         raise MeshError(f"{source} is flat: all its faces lie in one plane; expected a surface that encloses a volume.")
     f = mesh_repair.fix_winding(v, f, repairs)
@@ -108,9 +110,11 @@ def _read_triangles(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
     if kind not in _READABLE:
         raise MeshError(f"mesh file '{path}' is of kind '.{kind}'; expected one of {', '.join(_READABLE)}.")
     try:
-        loaded: Any = trimesh.load(path, process=False, maintain_order=True, skip_materials=True)
-        if isinstance(loaded, trimesh.Scene):
-            loaded = loaded.to_geometry() if loaded.geometry else None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about textures, which are not read
+            loaded: Any = trimesh.load(path, process=False, maintain_order=True, skip_materials=True)
+            if isinstance(loaded, trimesh.Scene):
+                loaded = loaded.to_geometry() if loaded.geometry else None
     except Exception as error:  # readers of ten formats raise whatever their parser raises
         raise MeshError(f"mesh file '{path}' cannot be read as {kind.upper()}: {_first_line(error)}") from error
     faces = getattr(loaded, "faces", None)

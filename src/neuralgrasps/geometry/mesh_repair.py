@@ -46,14 +46,17 @@ def _weld_labels(vertices: FloatArray, distance: float) -> IntArray:
 
 
 def _merge(vertices: FloatArray, faces: IntArray, labels: IntArray) -> tuple[FloatArray, IntArray]:
-    """Vertices of one label become their first member; faces that collapse are dropped."""
+    """Vertices of one label become their first member."""
     _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")  # keep the file's vertex order
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    faces = rank[inverse.ravel()[faces]]
+    return vertices[first[order]], rank[inverse.ravel()[faces]]
+
+
+def _corners_differ(faces: IntArray) -> NDArray[np.bool_]:
     a, b, c = faces.T
-    return vertices[first[order]], faces[(a != b) & (b != c) & (c != a)]
+    return (a != b) & (b != c) & (c != a)
 
 
 def merge_equal_vertices(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> tuple[FloatArray, IntArray]:
@@ -76,6 +79,7 @@ def weld_seams(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> tup
         labels = np.arange(len(vertices), dtype=np.int64)
         labels[boundary] = boundary[_first_of_label(_weld_labels(vertices[boundary], tolerance * extent))]
         welded, welded_faces = _merge(vertices, faces, labels)
+        welded_faces = welded_faces[_corners_differ(welded_faces)]
         remaining = open_edge_count(welded_faces.astype(np.int32))
         if remaining < open_edges:
             count = len(vertices) - len(welded)
@@ -98,26 +102,25 @@ def _first_of_label(labels: IntArray) -> IntArray:
     return first[inverse.ravel()]
 
 
-def drop_useless_faces(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> tuple[FloatArray, IntArray]:
+def drop_useless_faces(faces: IntArray, repairs: list[str]) -> IntArray:
     """Drop faces that name a vertex twice, and repeated faces.
 
     A sliver of no area between three distinct vertices stays: dropping it would open the surface, and it does no harm.
     Faces on the same three vertices with opposite winding are the two sides of a sheet and both stay.
     """
-    a, b, c = faces.T
-    distinct = (a != b) & (b != c) & (c != a)
+    distinct = _corners_differ(faces)
     if not distinct.all():
         repairs.append(f"dropped {int((~distinct).sum())} faces without area")
         faces = faces[distinct]
     if not len(faces):
-        return vertices, faces
+        return faces
     start = faces.argmin(axis=1)
     rolled = np.stack([faces[np.arange(len(faces)), (start + k) % 3] for k in range(3)], axis=1)
     unique, first = np.unique(rolled, axis=0, return_index=True)
     if len(unique) < len(faces):
         repairs.append(f"dropped {len(faces) - len(unique)} repeated faces")
         faces = faces[np.sort(first)]
-    return vertices, faces
+    return faces
 
 
 def fix_winding(vertices: FloatArray, faces: IntArray, repairs: list[str]) -> IntArray:

@@ -50,6 +50,8 @@ def sphere_mesh(radius: float, *, segments: int = 32) -> Mesh:
 
 def capsule_mesh(radius: float, half_length: float, *, segments: int = 32) -> Mesh:
     """Capsule along z: a cylinder of half length `half_length` between two half spheres."""
+    if half_length == 0:  # two rings in one place would leave faces without area
+        return sphere_mesh(radius, segments=segments)
     polar = np.linspace(0, np.pi / 2, segments // 4 + 1)
     low_r, low_z = radius * np.sin(polar), -half_length - radius * np.cos(polar)
     return _revolve(np.concatenate([low_r, low_r[::-1]]), np.concatenate([low_z, -low_z[::-1]]), segments)
