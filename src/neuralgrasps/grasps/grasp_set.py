@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -46,7 +45,7 @@ class Verdict:
         object.__setattr__(self, "displacement_m", _frozen(self.displacement_m, np.float64))
         object.__setattr__(self, "rotation_rad", _frozen(self.rotation_rad, np.float64))
         parameters = {str(k): float(v) for k, v in self.parameters.items()}
-        object.__setattr__(self, "parameters", MappingProxyType(parameters))
+        object.__setattr__(self, "parameters", parameters)
         shapes = {name: getattr(self, name).shape for name in ("success", "displacement_m", "rotation_rad")}
         if len(set(shapes.values())) != 1 or self.success.ndim != 1:
             raise ShapeError(f"verdict arrays have shapes {shapes}; expected one (N,) for all three.")
@@ -122,8 +121,8 @@ class GraspSet:
     def __post_init__(self) -> None:
         for name, dtype in _ARRAYS.items():
             object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
-        object.__setattr__(self, "verdicts", MappingProxyType(dict(self.verdicts)))
-        object.__setattr__(self, "config", MappingProxyType({str(k): str(v) for k, v in self.config.items()}))
+        object.__setattr__(self, "verdicts", dict(self.verdicts))
+        object.__setattr__(self, "config", {str(k): str(v) for k, v in self.config.items()})
         self._check_shapes()
         self._check_values()
 
