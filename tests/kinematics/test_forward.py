@@ -106,3 +106,11 @@ def test_worker_side_does_not_import_torch():
         "neuralgrasps.kinematics.forward_kernels; sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("forward", VERSIONS)
+def test_a_tree_without_joints_has_constant_poses(random_tree, forward):
+    tree = random_tree(0, dofs=0)
+    X_HL = forward(tree, np.zeros((2, 3, 0)))
+    assert X_HL.shape == (2, 3, tree.num_links, 4, 4)
+    np.testing.assert_allclose(X_HL[1, 2], forward_numpy(tree, np.zeros(0)), atol=1e-14)

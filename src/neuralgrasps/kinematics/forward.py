@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -32,43 +34,43 @@ def forward_kinematics(tree: KinematicTree, q: Tensor) -> Tensor:
         ShapeError: the last axis of `q` is not J.
     """
     check_joint_values(tree, tuple(q.shape))
-    X_PL = _local_poses(tree, q)
-    levels = _levels(tree.parents)
-    done = X_PL[..., :1, :, :]
-    position = np.zeros(tree.num_links, np.int64)  # where a link lies in its level; level 0 is link 0 alone
-    parts = [done]
-    for level in levels[1:]:
-        above = torch.as_tensor(position[tree.parents[level]], device=q.device)
-        here = torch.as_tensor(level, device=q.device)
-        done = done.index_select(-3, above) @ X_PL.index_select(-3, here)
-        position[level] = np.arange(len(level))
-        parts.append(done)
-    order = np.argsort(np.concatenate(levels))
-    return torch.cat(parts, dim=-3).index_select(-3, torch.as_tensor(order, device=q.device))
+    order, starts = _levels(tree.parents)
+    place = np.empty_like(order)  # where a link lies in `order`
+    place[order] = np.arange(tree.num_links)
+    X_PL = _local_poses(tree, q.reshape(math.prod(q.shape[:-1]), tree.num_dofs), order)  # (L, B, 4, 4), links by depth
+    done = [X_PL[:1]]
+    for below, start, stop in zip(starts[:-1], starts[1:], [*starts[2:], tree.num_links], strict=True):
+        parents = place[tree.parents[order[start:stop]]] - below
+        above = done[-1].index_select(0, torch.as_tensor(parents, device=q.device))
+        done.append(above @ X_PL[start:stop])
+    X_HL = torch.cat(done).index_select(0, torch.as_tensor(place, device=q.device))
+    return X_HL.movedim(0, 1).reshape(*q.shape[:-1], tree.num_links, 4, 4)
 
 
-def _local_poses(tree: KinematicTree, q: Tensor) -> Tensor:
-    """(..., L, 4, 4) pose of each link in its parent."""
+def _local_poses(tree: KinematicTree, q: Tensor, order: np.ndarray) -> Tensor:
+    """Pose of each link in its parent, (L, B, 4, 4), links in `order`, for `q` (B, J)."""
 
     def constant(array: np.ndarray) -> Tensor:
-        return torch.as_tensor(array, dtype=q.dtype, device=q.device)
+        return torch.as_tensor(array[order], dtype=q.dtype, device=q.device)
 
-    p = q @ constant(tree.coupling).T + constant(tree.offset)  # (..., L)
-    K = np.zeros((tree.num_links, 4, 4))
-    x, y, z = np.where((tree.joint_types == REVOLUTE)[:, None], tree.axes, 0.0).T
+    p = constant(tree.coupling) @ q.T + constant(tree.offset)[:, None]  # (L, B)
+    turning, sliding = tree.joint_types[:, None] == REVOLUTE, tree.joint_types[:, None] == PRISMATIC
+    K, slide = np.zeros((2, tree.num_links, 4, 4))
+    x, y, z = np.where(turning, tree.axes, 0.0).T
     K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -z, y, -x
     K[:, 1, 0], K[:, 2, 0], K[:, 2, 1] = z, -y, x
-    slide = np.zeros((tree.num_links, 4, 4))
-    slide[:, :3, 3] = np.where((tree.joint_types == PRISMATIC)[:, None], tree.axes, 0.0)
-    # X_joint @ (I + sin(p) K + (1 - cos(p)) K^2 + p slide), with the constant products taken first
+    slide[:, :3, 3] = np.where(sliding, tree.axes, 0.0)
+    # X_joint @ (I + sin(p) K + (1 - cos(p)) K^2 + p slide): linear in (1, sin, 1 - cos, p)
     X = tree.X_parent_joint
-    turn = torch.sin(p)[..., None, None] * constant(X @ K) + (1.0 - torch.cos(p))[..., None, None] * constant(X @ K @ K)
-    return constant(X) + turn + p[..., None, None] * constant(X @ slide)
+    terms = np.stack([X, X @ K, X @ K @ K, X @ slide], axis=1).reshape(-1, 4, 16)
+    basis = torch.stack([torch.ones_like(p), torch.sin(p), 1.0 - torch.cos(p), p], dim=-1)  # (L, B, 4)
+    return (basis @ constant(terms)).unflatten(-1, (4, 4))
 
 
-def _levels(parents: np.ndarray) -> list[np.ndarray]:
-    """Link indices by depth, root first."""
+def _levels(parents: np.ndarray) -> tuple[np.ndarray, list[int]]:
+    """Link indices ordered by depth, and where each depth starts."""
     depth = np.zeros(len(parents), np.int64)
     for i, parent in enumerate(parents):
         depth[i] = depth[parent] + 1 if parent >= 0 else 0
-    return [np.flatnonzero(depth == d) for d in range(int(depth.max()) + 1)]
+    order = np.argsort(depth, kind="stable")
+    return order, np.searchsorted(depth[order], np.arange(depth.max() + 1)).tolist()
