@@ -7,7 +7,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from neuralgrasps.geometry.mesh import box_mesh
+from neuralgrasps.geometry.sampling import even_surface_points
+from neuralgrasps.geometry.sdf_grid import build_sdf_grid
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
+from neuralgrasps.hands.hand import ConvexPart, Finger, Hand, PartKind
+from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, KinematicTree
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.objects.symmetry import trivial_symmetry
+
+BOX_HALF = np.array([0.02, 0.03, 0.04])
+PAD_HALF = np.array([0.005, 0.01, 0.012])
 
 
 def box_contacts(rng: np.random.Generator, count: int, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,3 +91,74 @@ def contacts() -> SimpleNamespace:
     return SimpleNamespace(
         box=box_contacts, ball=ball_contacts, can=can_contacts, patches=finger_patches, wrench_cases=wrench_cases
     )
+
+
+@pytest.fixture(scope="session")
+def jaw() -> Hand:
+    """Two box pads; pad 1 fills x in [q0, q0 + 10 mm], pad 2 x in [-q1 - 10 mm, -q1]; 100 mm above the base box."""
+    X = np.tile(np.eye(4), (3, 1, 1))
+    X[1:, 2, 3] = 0.1
+    tree = KinematicTree(
+        link_names=("base", "right", "left"),
+        parents=np.array([-1, 0, 0], np.int32),
+        joint_names=("", "right_slide", "left_slide"),
+        joint_types=np.array([FIXED, PRISMATIC, PRISMATIC], np.int8),
+        X_parent_joint=X,
+        axes=np.array([[0.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]]),
+        coupling=np.array([[0.0, 0], [1, 0], [0, 1]]),
+        offset=np.zeros(3),
+        dof_names=("right", "left"),
+        lower=np.full(2, -0.01),
+        upper=np.full(2, 0.04),
+        effort=np.full(2, 20.0),
+    )
+    parts = [ConvexPart(link=0, kind=PartKind.BOX, size=np.array([0.06, 0.02, 0.02]), X_LP=np.eye(4))]
+    for link, side in ((1, 1.0), (2, -1.0)):
+        X_LP = np.eye(4)
+        X_LP[0, 3] = side * PAD_HALF[0]
+        parts.append(ConvexPart(link=link, kind=PartKind.BOX, size=PAD_HALF, X_LP=X_LP))
+    return Hand(
+        name="toy_jaw",
+        tree=tree,
+        parts=tuple(parts),
+        fingers=(Finger(name="right", links=(1,), dofs=(0,)), Finger(name="left", links=(2,), dofs=(1,))),
+        X_HP=np.eye(4),
+        closing_rate=-np.ones(2),
+        q_open=np.full(2, 0.04),
+        preshape_lower=np.full(2, 0.03),
+        preshape_upper=np.full(2, 0.04),
+        preshape_groups=((0, 1),),
+        is_jaw=True,
+        jaw_pad_H=np.array([0.0, 0, 0.1]),
+        licence="",
+        provenance="test",
+    )
+
+
+@pytest.fixture(scope="session")
+def box() -> ObjectModel:
+    """A 40 x 60 x 80 mm box centred on its frame."""
+    mesh = box_mesh(BOX_HALF)
+    points, normals, _ = even_surface_points(mesh, 0.004, 0)
+    return ObjectModel(
+        name="toy_box",
+        mesh=mesh,
+        sdf=build_sdf_grid(mesh, cells=80),
+        points_O=points,
+        normals_O=normals,
+        convex_parts=(mesh.vertices,),
+        mass_kg=0.1,
+        com_O=np.zeros(3),
+        friction=0.6,
+        symmetry=trivial_symmetry(np.zeros(3), 0.001),
+        content_hash="",
+        provenance={},
+    )
+
+
+@pytest.fixture(scope="session")
+def X_OH() -> np.ndarray:
+    """The base of `jaw` such that its pads close on the middle of `box`."""
+    X = np.eye(4)
+    X[2, 3] = -0.1
+    return X

@@ -230,7 +230,7 @@ class Diversity:
 
     Attributes:
         explained: (D,) share of the variance that each principal component explains, largest first. One large share =
-            little variety.
+            little variety; all 0 when all grasps are equal.
         entropy_bits: mean over joints of the entropy of the joint's value in 100 bins over its range; at most 6.64.
     """
 
@@ -260,5 +260,5 @@ def grasp_diversity(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, length: floa
         share = np.histogram(column, bins=ENTROPY_BINS, range=(0.0, 1.0))[0] / len(column)
         share = share[share > 0]
         bits.append(-(share * np.log2(share)).sum())
-    explained = variance / total if total > 0 else np.zeros_like(variance)
+    explained = variance / total if total > 1e-20 * len(q) else np.zeros_like(variance)  # less is rounding
     return Diversity(explained=explained, entropy_bits=float(np.mean(bits)) if bits else 0.0)
