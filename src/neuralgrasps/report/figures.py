@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.surface import hand_link_meshes
+from neuralgrasps.hands.surface import hand_part_meshes
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.report.palette import (
     GRAPHITE,
@@ -161,13 +163,11 @@ def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray) -> list[Sur
     hand.check_q(q)
     colour = linear_rgb(hand_colour(hand.name))
     finger_links = {link for finger in hand.fingers for link in finger.links}
-    palm = mix(colour, linear_rgb(GRAPHITE), 0.72)
-    surfaces = []
-    for link, mesh in enumerate(hand_link_meshes(hand, q)):
-        if len(mesh.faces):
-            posed = Mesh(mesh.vertices @ X_OH[:3, :3].T + X_OH[:3, 3], mesh.faces)
-            surfaces.append(Surface(mesh=posed, colour=colour if link in finger_links else palm, gloss=0.3))
-    return surfaces
+    palm = mix(colour, linear_rgb(GRAPHITE), 0.86)
+    return [
+        Surface(mesh=mesh.transformed(X_OH), colour=colour if part.link in finger_links else palm, gloss=0.3)
+        for part, mesh in zip(hand.parts, hand_part_meshes(hand, q), strict=True)
+    ]
 
 
 def object_surface(mesh: Mesh, vertex_values: np.ndarray | None = None) -> Surface:
@@ -180,26 +180,40 @@ def object_surface(mesh: Mesh, vertex_values: np.ndarray | None = None) -> Surfa
     return Surface(mesh=mesh, colour=contact_colours(values), gloss=0.03)
 
 
+def render_contact_map(
+    obj: ObjectModel, values: np.ndarray, *, size: tuple[int, int] = SIZE, view: np.ndarray | None = None
+) -> np.ndarray:
+    """Picture of an object coloured by a contact map.
+
+    Args:
+        values: (P,) contact in [0, 1] at `obj.points_O`.
+        view: (3,) direction towards the camera, object frame; when None the one that shows most contact.
+    Returns:
+        (height, width, 4) uint8 RGBA.
+    """
+    mesh = fine_mesh(obj.mesh)
+    vertex_values = values_at_vertices(mesh, obj.points_O, values)
+    return render_object(mesh, vertex_values=vertex_values, size=size, view=view)
+
+
 def values_at_vertices(mesh: Mesh, points_O: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (V,) at a mesh's vertices from values (P,) at surface points: mean of the 4 nearest, by inverse distance.
+    """Values (V,) at a mesh's vertices from values (P,) at surface points: smooth mean of the eight nearest.
 
     Sparse meshes (a box has eight vertices) cannot show a contact map: see `fine_mesh`.
     """
-    from scipy.spatial import cKDTree
-
     points_O, values = np.asarray(points_O, np.float64), np.asarray(values, np.float64)
     if values.shape != (len(points_O),):
         raise ShapeError(f"values has shape {values.shape}; expected ({len(points_O)},), one per point.")
-    distance, index = cKDTree(points_O).query(mesh.vertices, k=min(4, len(points_O)))
-    distance, index = distance.reshape(len(mesh.vertices), -1), index.reshape(len(mesh.vertices), -1)
-    weight = 1.0 / (distance + 1e-4)
+    count = min(8, len(points_O))
+    distance, index = cKDTree(points_O).query(mesh.vertices, k=count)
+    distance, index = distance.reshape(-1, count), index.reshape(-1, count)
+    scale = np.median(distance[:, -1]) * 0.6 + 1e-9
+    weight = np.exp(-((distance - distance[:, :1]) * (distance + distance[:, :1])) / scale**2)
     return (values[index] * weight).sum(axis=1) / weight.sum(axis=1)
 
 
-def fine_mesh(mesh: Mesh, *, longest_edge_m: float = 0.004) -> Mesh:
+def fine_mesh(mesh: Mesh, *, longest_edge_m: float = 0.005) -> Mesh:
     """The same surface with no edge longer than `longest_edge_m`, so that values at its vertices can be seen."""
-    import trimesh
-
     vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, longest_edge_m, max_iter=12)
     return Mesh(vertices, faces)
 

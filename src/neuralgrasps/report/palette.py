@@ -16,7 +16,7 @@ HAND_COLOURS: dict[str, str] = {
 _OTHER_COLOURS = ("#6b7280", "#a3a020", "#4fb3d9", "#8c564b", "#c04bb0", "#345c32")
 
 OBJECT_COLOUR = "#ddd7cb"
-GRAPHITE = "#464c55"
+GRAPHITE = "#59616c"
 
 # Light to dark in OKLab: bare object, sand, amber, vermilion, wine. Lightness falls steadily, so the order survives
 # printing in grey and every colour-vision type.

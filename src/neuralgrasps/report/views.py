@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics, look_at
-from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.raster import rasterise
 
 FOV_Y_RAD = math.radians(26.0)  # long lens: little distortion, as in product photographs
@@ -69,7 +69,7 @@ def best_direction(hand_meshes: Sequence[Mesh], object_mesh: Mesh) -> np.ndarray
     object_points = object_mesh.vertices[object_mesh.faces].mean(axis=1)
     near_object = cKDTree(object_points).query(hand_points, distance_upper_bound=_CONTACT_ZONE_M)[0]
     near_hand = cKDTree(hand_points).query(object_points, distance_upper_bound=_CONTACT_ZONE_M)[0]
-    scene = _join([*hand_meshes, object_mesh])
+    scene = merge_meshes([*hand_meshes, object_mesh])
     is_contact = np.isfinite(np.concatenate([near_object, near_hand]))
     is_object = np.arange(len(scene.faces)) >= len(hand_points)
     candidates = [view_direction(a, e) for e, shift in ((12, 10), (26, 32), (42, 10)) for a in range(shift, 360, 45)]
@@ -109,9 +109,3 @@ def _visible(scene: Mesh, direction: np.ndarray, is_contact: np.ndarray, is_obje
         int(of_object.sum()),
         int((~of_object).sum()),
     ]
-
-
-def _join(meshes: Sequence[Mesh]) -> Mesh:
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + offset for mesh, offset in zip(meshes, offsets, strict=False)]
-    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))

@@ -1,0 +1,248 @@
+"""What a report holds: plain records of pictures and numbers. Fill a `DemoReport` and give it to `write_report`.
+
+Pictures are uint8 arrays (h, w, 3) or (h, w, 4) as `report.figures` makes them. A number that was not measured is None
+and shows as a dash. An empty section is left out of the page. Texts are plain; the page escapes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+# Published figures of the method this library builds on (Khargonkar et al. 2022, unseen test grasps): contact-map
+# similarity of the nearest neighbour by code, by contact map, and of the farthest by code, by contact map.
+PAPER_RETRIEVAL: dict[str, tuple[float, float, float, float]] = {
+    "cracker_box": (0.81, 0.88, 0.19, 0.15),
+    "tomato_soup_can": (0.73, 0.84, 0.13, 0.09),
+    "mustard_bottle": (0.80, 0.87, 0.14, 0.10),
+    "pudding_box": (0.77, 0.84, 0.25, 0.16),
+    "gelatin_box": (0.75, 0.81, 0.22, 0.14),
+    "potted_meat_can": (0.76, 0.83, 0.21, 0.12),
+    "bleach_cleanser": (0.86, 0.91, 0.16, 0.13),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyFigure:
+    """One large number at the top: `value` with its unit ("96 %"), `label` below it, `note` small under both."""
+
+    value: str
+    label: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandFigure:
+    """One hand: name, picture, and a line such as "16 joints, 4 fingers"."""
+
+    hand: str
+    image: np.ndarray
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspFigure:
+    """One grasp: picture and what was proven about it.
+
+    Attributes:
+        hand, object: names.
+        image: from `render_grasp`.
+        epsilon: largest disturbance the grasp resists in every direction (wrench-space ball).
+        penetration_mm: deepest overlap of hand and object.
+        success: held in the physics trial; None when it was not run.
+        displacement_mm: how far the object moved in the hand during the trial.
+        note: anything else, one short line.
+    """
+
+    hand: str
+    object: str
+    image: np.ndarray
+    epsilon: float | None = None
+    penetration_mm: float | None = None
+    success: bool | None = None
+    displacement_mm: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactFigure:
+    """A contact map drawn on the object. `area_share`: share of the surface in contact (map above 0.5), 0..1."""
+
+    hand: str
+    object: str
+    image: np.ndarray
+    area_share: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Neighbour:
+    """A grasp in a retrieval row; `similarity` of its contact map to the query's, 0..1."""
+
+    hand: str
+    image: np.ndarray
+    similarity: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetrievalRow:
+    """A query grasp, the nearest grasp of each hand by latent code, and the farthest of all."""
+
+    object: str
+    query: Neighbour
+    nearest: tuple[Neighbour, ...]
+    farthest: Neighbour | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransferFigure:
+    """A grasp of one hand carried over to another: both pictures and one or two sentences."""
+
+    object: str
+    source: Neighbour
+    target: Neighbour
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatentMap:
+    """A t-SNE of latent codes: `points` (N, 2), the hand of each, its object, and optional notes shown on hover."""
+
+    title: str
+    points: np.ndarray
+    hands: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    text: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseFigure:
+    """An object's pose found in a depth image.
+
+    Attributes:
+        object: name.
+        observed: what the camera saw, from `render_depth` (or a colour image).
+        overlay: from `render_pose_overlay`.
+        rotation_error_deg: modulo the object's symmetries; translation_error_mm; add_s_mm: mean closest-point error.
+        wall_s: time to find it.
+    """
+
+    object: str
+    observed: np.ndarray
+    overlay: np.ndarray
+    rotation_error_deg: float | None = None
+    translation_error_mm: float | None = None
+    add_s_mm: float | None = None
+    wall_s: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SynthesisRow:
+    """One hand x object of the synthesis: counts, quality of the kept grasps, and cost."""
+
+    hand: str
+    object: str
+    candidates: int
+    valid: int
+    validated: int
+    success_share: float | None = None
+    penetration_p95_mm: float | None = None
+    epsilon_median: float | None = None
+    cpu_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelRow:
+    """Measured quality of the latent model on one object's held-out grasps.
+
+    Attributes:
+        object: name without the YCB number ("cracker_box"); the paper's numbers are found by it.
+        hand_error_mm, object_error_mm: mean two-sided surface distance of the reconstruction.
+        near_code, near_contact, far_code, far_contact: contact similarity of the nearest and farthest neighbour,
+            found by code and by the contact maps themselves (the best any code could do).
+        chamfer_e3, chamfer_oracle_e3: the published Chamfer measure, x 1e-3: ours, and a perfect reconstruction's.
+    """
+
+    object: str
+    grasps: int
+    hand_error_mm: float | None = None
+    object_error_mm: float | None = None
+    near_code: float | None = None
+    near_contact: float | None = None
+    far_code: float | None = None
+    far_contact: float | None = None
+    chamfer_e3: float | None = None
+    chamfer_oracle_e3: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageTime:
+    """Cost of one stage of the run."""
+
+    stage: str
+    wall_s: float
+    cpu_s: float | None = None
+    peak_memory_mib: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Any other table. `rows` hold strings, numbers or None; a column of numbers is aligned right.
+
+    Attributes:
+        meaning: what the numbers mean, one or two sentences; how: how they were measured.
+        strong_rows: indices of rows to emphasise (totals).
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str | float | int | None, ...], ...]
+    meaning: str = ""
+    how: str = ""
+    strong_rows: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Histogram:
+    """Distribution of one measured number, optionally apart by hand.
+
+    Attributes:
+        values: hand (or any group) -> (N,) values. limit: a line drawn at the accepted bound, or None.
+    """
+
+    title: str
+    unit: str
+    values: dict[str, np.ndarray]
+    limit: float | None = None
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemoReport:
+    """One run of the demo, everything its page shows. Only `title` and `command` are required."""
+
+    title: str
+    command: str
+    subtitle: str = ""
+    machine: str = ""
+    seed: int | None = None
+    version: str = ""
+    created: str = ""
+    key_figures: tuple[KeyFigure, ...] = ()
+    hands: tuple[HandFigure, ...] = ()
+    grasps: tuple[GraspFigure, ...] = ()
+    contacts: tuple[ContactFigure, ...] = ()
+    retrieval: tuple[RetrievalRow, ...] = ()
+    transfers: tuple[TransferFigure, ...] = ()
+    latent_maps: tuple[LatentMap, ...] = ()
+    poses: tuple[PoseFigure, ...] = ()
+    synthesis: tuple[SynthesisRow, ...] = ()
+    dataset: tuple[tuple[str, str], ...] = ()
+    model: tuple[ModelRow, ...] = ()
+    times: tuple[StageTime, ...] = ()
+    tables: tuple[Table, ...] = ()
+    histograms: tuple[Histogram, ...] = ()
+    notes: tuple[str, ...] = ()
+    section_texts: dict[str, str] = field(default_factory=dict)

@@ -1,0 +1,210 @@
+"""The report page: one HTML file that holds everything it shows and loads nothing."""
+
+from __future__ import annotations
+
+import errno
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from html import escape
+from pathlib import Path
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.report.content import DemoReport
+from neuralgrasps.report.page_style import page_css, page_script
+from neuralgrasps.report.sections import (
+    PictureEncoder,
+    contacts_section,
+    grasps_section,
+    hands_section,
+    latent_section,
+    pose_section,
+    retrieval_section,
+    transfer_section,
+)
+from neuralgrasps.report.table_sections import (
+    dataset_table,
+    histograms_html,
+    model_table,
+    synthesis_table,
+    table_html,
+    times_section,
+)
+
+MAX_BYTES = 8_000_000
+_QUALITIES = (90, 80, 65, 45)
+
+# What each section shows and means; `DemoReport.section_texts` can put other words in their place.
+_TEXTS = {
+    "hands": "Every hand is a kinematic tree with convex solids for links. The colours below stand for the hands "
+    "everywhere on this page.",
+    "grasps": "Each picture is one synthesised grasp, drawn exactly as computed. Held means that the hand kept the "
+    "object in a physics simulation with gravity and friction, pushed from every side. ε is the largest "
+    "disturbance the contacts resist in any direction; overlap is how deep hand and object cut into each "
+    "other; slip is how far the object moved in the hand.",
+    "contacts": "How close the hand comes to every point of the object: 1 where it touches, falling off exponentially"
+    " with distance. These maps, not the joints, say which grasps of different hands are alike.",
+    "retrieval": "The framed grasp is the query. Beside it, the grasp of each hand whose latent code is nearest, and "
+    "last the farthest of all. Similarity compares the true contact maps, which the search did not see.",
+    "transfer": "A grasp of one hand, carried to another through the shared latent space.",
+    "latent": "Every mark is one grasp, placed by t-SNE so that near codes are near. Where the colours mix, "
+    "different hands hold the object in the same way; distances between far groups mean nothing.",
+    "pose": "Left, the depth image that the camera saw. Right, the pose found in it: the object tinted and "
+    "outlined. Errors are measured against the true pose, up to the object's own symmetries.",
+    "numbers": "Measured in this run, on this machine.",
+    "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
+    "notes": "",
+}
+
+
+def report_html(report: DemoReport, *, max_bytes: int = MAX_BYTES) -> str:
+    """The page as text; pictures are compressed harder when it would be over `max_bytes`.
+
+    Raises:
+        InputError: the page is over `max_bytes` at the lowest picture quality.
+    """
+    for quality in _QUALITIES:
+        html = _page(report, PictureEncoder(quality))
+        size = len(html.encode("utf-8"))
+        if size <= max_bytes:
+            return html
+    raise InputError(
+        f"the report would be {size / 1e6:.1f} MB; expected at most {max_bytes / 1e6:.1f} MB. "
+        "Show fewer or smaller pictures."
+    )
+
+
+def write_report(report: DemoReport, path: str | Path) -> Path:
+    """Write the page, all or nothing: an older file stays whole when writing fails.
+
+    Args:
+        report: what to show.
+        path: file to write; its folder is made when missing.
+    Returns:
+        The path written.
+    Raises:
+        InputError: the place cannot be written (read-only, full, a folder of this name), or the page is too large.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(
+            f"the report cannot be written to '{path}': it is a folder. Give a file name such as report.html."
+        )
+    html = report_html(report)
+    temporary: str | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(html)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise InputError(f"the report cannot be written to '{path}': {_reason(error)}") from error
+    return path
+
+
+def _reason(error: OSError) -> str:
+    full = f"the disk is full. Free some space, or write elsewhere with another path ({error.strerror})."
+    locked = f"its folder cannot be written. Choose another path, or change its permissions ({error.strerror})."
+    reasons = {errno.ENOSPC: full, errno.EDQUOT: full, errno.EROFS: locked, errno.EACCES: locked, errno.EPERM: locked}
+    return reasons.get(error.errno or 0, f"{error.strerror or error}. Choose another path.")
+
+
+def _page(report: DemoReport, pictures: PictureEncoder) -> str:
+    sections = _sections(report, pictures)
+    links = "".join(f'<a href="#{name}">{escape(title)}</a>' for name, title, _ in sections)
+    body = "".join(_section(report, *section) for section in sections)
+    csp = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'; base-uri 'none'"
+    return (
+        '<!DOCTYPE html>\n<html lang="en" xmlns="http://www.w3.org/1999/xhtml"><head><meta charset="utf-8"/>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1"/>'
+        f'<meta http-equiv="Content-Security-Policy" content="{csp}"/>'
+        f"<title>{escape(report.title)}</title><style>{page_css()}</style></head><body>"
+        f"{_hero(report)}<nav aria-label='Sections'><div>{links}</div></nav><main>{body}</main>{_footer(report)}"
+        '<dialog id="zoom" aria-label="Enlarged picture"><div><img alt=""/></div><p></p></dialog>'
+        f"<script>{page_script()}</script></body></html>\n"
+    )
+
+
+def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, str, str]]:
+    """(anchor, title, HTML) of every section that has something to show."""
+    hands = f"{len(report.hands)} hands" if len(report.hands) != 1 else "One hand"
+    builders: list[tuple[str, str, bool, Callable[[], str]]] = [
+        ("grasps", "Grasps", bool(report.grasps), lambda: grasps_section(report.grasps, pictures)),
+        ("hands", hands, bool(report.hands), lambda: hands_section(report.hands, pictures)),
+        ("contacts", "Contact maps", bool(report.contacts), lambda: contacts_section(report.contacts, pictures)),
+        ("retrieval", "Retrieval", bool(report.retrieval), lambda: retrieval_section(report.retrieval, pictures)),
+        ("transfer", "Transfer", bool(report.transfers), lambda: transfer_section(report.transfers, pictures)),
+        ("latent", "Latent space", bool(report.latent_maps), lambda: latent_section(report.latent_maps)),
+        ("pose", "Object pose", bool(report.poses), lambda: pose_section(report.poses, pictures)),
+    ]
+    sections = [(name, title, build()) for name, title, shown, build in builders if shown]
+    numbers = _numbers(report)
+    if numbers:
+        sections.append(("numbers", "Measured quality", numbers))
+    if report.times:
+        sections.append(("times", "Times and memory", times_section(report.times)))
+    if report.notes:
+        items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
+        sections.append(("notes", "Notes", f'<ul class="notes">{items}</ul>'))
+    return sections
+
+
+def _numbers(report: DemoReport) -> str:
+    parts = []
+    if report.synthesis:
+        parts.append(table_html(synthesis_table(report.synthesis)))
+    parts.append(histograms_html(report.histograms))
+    if report.dataset:
+        parts.append(table_html(dataset_table(report.dataset)))
+    if report.model:
+        parts.append(table_html(model_table(report.model)))
+    parts += [table_html(table) for table in report.tables]
+    return "".join(parts)
+
+
+def _section(report: DemoReport, name: str, title: str, content: str) -> str:
+    text = report.section_texts.get(name, _TEXTS[name])
+    paragraph = f"<p>{escape(text)}</p>" if text else ""
+    return f'<section id="{name}"><h2>{escape(title)}</h2>{paragraph}{content}</section>'
+
+
+def _hero(report: DemoReport) -> str:
+    meta = [("Command", f"<code>{escape(report.command)}</code>")]
+    seed = "" if report.seed is None else str(report.seed)
+    for label, value in (
+        ("Machine", report.machine),
+        ("Seed", seed),
+        ("Version", report.version),
+        ("Made", report.created),
+    ):
+        if value:
+            meta.append((label, escape(value)))
+    items = "".join(f"<div><dt>{label}</dt><dd>{value}</dd></div>" for label, value in meta)
+    lead = f'<p class="lead">{escape(report.subtitle)}</p>' if report.subtitle else ""
+    return (
+        f'<header class="hero"><p class="eyebrow">neuralgrasps</p><h1>{escape(report.title)}</h1>{lead}'
+        f'<dl class="meta">{items}</dl>{_keys(report.key_figures)}</header>'
+    )
+
+
+def _keys(figures: Sequence) -> str:
+    if not figures:
+        return ""
+    tiles = "".join(
+        f"<div><b>{escape(f.value)}</b><span>{escape(f.label)}</span>"
+        + (f"<small>{escape(f.note)}</small>" if f.note else "")
+        + "</div>"
+        for f in figures
+    )
+    return f'<div class="keys">{tiles}</div>'
+
+
+def _footer(report: DemoReport) -> str:
+    version = f" {escape(report.version)}" if report.version else ""
+    return f"<footer>Made by neuralgrasps{version}. This file holds everything it shows and loads nothing.</footer>"

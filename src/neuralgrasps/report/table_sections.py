@@ -1,0 +1,171 @@
+"""The measured numbers of the report page: tables with what each means, histograms, times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from neuralgrasps.report.charts import bars_svg, histogram_svg, legend_html, short_number
+from neuralgrasps.report.content import PAPER_RETRIEVAL, Histogram, ModelRow, StageTime, SynthesisRow, Table
+from neuralgrasps.report.palette import HAND_COLOURS, hand_colour
+
+Cell = str | float | int | None
+
+
+def synthesis_table(rows: Sequence[SynthesisRow]) -> Table:
+    """Counts and quality per hand and object, with a row of totals."""
+    columns = ("hand", "object", "candidates", "valid", "tried", "held", "overlap p95, mm", "ε median", "CPU s")
+    body: list[tuple[Cell, ...]] = [
+        (
+            r.hand,
+            r.object,
+            r.candidates,
+            r.valid,
+            r.validated,
+            _percent(r.success_share),
+            r.penetration_p95_mm,
+            r.epsilon_median,
+            r.cpu_s,
+        )
+        for r in rows
+    ]
+    strong: tuple[int, ...] = ()
+    if len(rows) > 1:
+        tried = sum(r.validated for r in rows if r.success_share is not None)
+        held = sum(r.validated * r.success_share for r in rows if r.success_share is not None)
+        cpu = [r.cpu_s for r in rows if r.cpu_s is not None]
+        counts = (sum(r.candidates for r in rows), sum(r.valid for r in rows), sum(r.validated for r in rows))
+        share = _percent(held / tried) if tried else None
+        worst = max((r.penetration_p95_mm for r in rows if r.penetration_p95_mm is not None), default=None)
+        body.append(("all", "", *counts, share, worst, None, sum(cpu) if cpu else None))
+        strong = (len(rows),)
+    return Table(
+        title="Grasp synthesis",
+        columns=columns,
+        rows=tuple(body),
+        strong_rows=strong,
+        meaning="Valid grasps hold the object against any small disturbance (force closure) without overlap or "
+        "self-collision; held is the share of the tried ones that kept the object in the physics trial. "
+        "The last row adds up, and shows the largest overlap.",
+        how="Overlap is the deepest point of the hand's surface inside the object's exact distance field, or "
+        "of the object inside the hand. ε is the radius of the largest ball of wrenches the contacts "
+        "resist.",
+    )
+
+
+def model_table(rows: Sequence[ModelRow]) -> Table:
+    """Retrieval and reconstruction per object, the published figures beside ours."""
+    columns = ("object", "grasps", "near, by code", "best possible", "gap", "paper: near / best", "far, by code")
+    columns += ("lowest possible", "paper: far / lowest", "hand, mm", "object, mm", "Chamfer ×10⁻³", "perfect scores")
+    body = []
+    for r in rows:
+        paper = PAPER_RETRIEVAL.get(_plain(r.object))
+        gap = r.near_contact - r.near_code if r.near_contact is not None and r.near_code is not None else None
+        near_paper = f"{paper[0]:.2f} / {paper[1]:.2f}" if paper else None
+        far_paper = f"{paper[2]:.2f} / {paper[3]:.2f}" if paper else None
+        near = (_fixed(r.near_code), _fixed(r.near_contact), _fixed(gap, 3), near_paper)
+        far = (_fixed(r.far_code), _fixed(r.far_contact), far_paper)
+        errors = (r.hand_error_mm, r.object_error_mm, r.chamfer_e3, r.chamfer_oracle_e3)
+        body.append((r.object, r.grasps, *near, *far, *errors))
+    return Table(
+        title="Latent space and reconstruction",
+        columns=columns,
+        rows=tuple(body),
+        meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best "
+        "that any grasp in the set offers; the gap is what the code loses. Far is the same for the least "
+        "similar grasp: lower is better. Errors in mm are mean two-sided surface distances.",
+        how="Held-out grasps, never seen in training. The published Chamfer measure compares a filled shape "
+        "with a surface, so even a perfect reconstruction scores above zero: that score stands in the "
+        "last column. The paper's figures are for its own grasps and hands.",
+    )
+
+
+def times_section(times: Sequence[StageTime]) -> str:
+    columns = ("stage", "wall s", "CPU s", "peak memory, MiB")
+    rows: list[tuple[Cell, ...]] = [(t.stage, t.wall_s, t.cpu_s, _whole(t.peak_memory_mib)) for t in times]
+    cpu = [t.cpu_s for t in times if t.cpu_s is not None]
+    peaks = [t.peak_memory_mib for t in times if t.peak_memory_mib is not None]
+    total = ("all", sum(t.wall_s for t in times), sum(cpu) if cpu else None, _whole(max(peaks)) if peaks else None)
+    chart = bars_svg([t.stage for t in times], [t.wall_s for t in times], "s", label="wall time of each stage")
+    table = Table(title="", columns=columns, rows=(*rows, total), strong_rows=(len(rows),))
+    return f'<figure><div class="plot">{chart}</div></figure>{table_html(table)}'
+
+
+def dataset_table(facts: Sequence[tuple[str, str]]) -> Table:
+    return Table(
+        title="Data set",
+        columns=("what", "value"),
+        rows=tuple(facts),
+        meaning="What the latent space was trained on, built in this run.",
+    )
+
+
+def table_html(table: Table) -> str:
+    """A table with its title before and its meaning behind."""
+    numeric = [_is_numeric([row[i] for row in table.rows]) for i in range(len(table.columns))]
+    head = "".join(f'<th{_num(n)} scope="col">{escape(c)}</th>' for c, n in zip(table.columns, numeric, strict=True))
+    body = []
+    for index, row in enumerate(table.rows):
+        cells = "".join(f"<td{_num(n)}>{_cell(value)}</td>" for value, n in zip(row, numeric, strict=True))
+        strong = ' class="strong"' if index in table.strong_rows else ""
+        body.append(f"<tr{strong}>{cells}</tr>")
+    title = f"<h3>{escape(table.title)}</h3>" if table.title else ""
+    text = ""
+    if table.meaning:
+        text += f'<p class="how"><b>What it means.</b> {escape(table.meaning)}</p>'
+    if table.how:
+        text += f'<p class="how"><b>How it was measured.</b> {escape(table.how)}</p>'
+    content = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+    return f'{title}<div class="scroll" tabindex="0">{content}</div>{text}'
+
+
+def histograms_html(histograms: Sequence[Histogram]) -> str:
+    cards = []
+    for h in histograms:
+        svg = histogram_svg(h.values, h.unit, limit=h.limit, label=h.title)
+        note = f'<div class="note">{escape(h.meaning)}</div>' if h.meaning else ""
+        caption = (
+            f'<figcaption><div class="top">{escape(h.title)}</div>{legend_html(list(h.values))}{note}</figcaption>'
+        )
+        cards.append(f'<figure><div class="plot">{svg}</div>{caption}</figure>')
+    return f'<div class="grid wide">{"".join(cards)}</div>' if cards else ""
+
+
+def _cell(value: Cell) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, str):
+        dot = f'<span class="dot" style="--c:{hand_colour(value)}"></span>' if value in HAND_COLOURS else ""
+        return dot + escape(value)
+    if isinstance(value, int | np.integer):
+        return f"{int(value):,}"
+    return escape(short_number(float(value)))
+
+
+def _is_numeric(values: Sequence[Cell]) -> bool:
+    """Whether a column holds numbers, or text made of digits such as '96 %'."""
+    shown = [v for v in values if v is not None and v != ""]
+    return bool(shown) and all(not isinstance(v, str) or v[:1].isdigit() or v[:1] in "-–" for v in shown)
+
+
+def _num(numeric: bool) -> str:
+    return ' class="num"' if numeric else ""
+
+
+def _percent(share: float | None) -> str | None:
+    return None if share is None else f"{100 * share:.1f} %"
+
+
+def _fixed(value: float | None, digits: int = 2) -> str | None:
+    return None if value is None else f"{value:.{digits}f}"
+
+
+def _whole(value: float | None) -> int | None:
+    return None if value is None else round(value)
+
+
+def _plain(name: str) -> str:
+    head, _, tail = name.partition("_")
+    return tail if head.isdigit() and tail else name
