@@ -12,7 +12,7 @@ import torch
 from scipy.interpolate import RegularGridInterpolator
 
 from neuralgrasps.errors import InputError, ShapeError
-from neuralgrasps.geometry.mesh import box_mesh, load_mesh, signed_distance, sphere_mesh
+from neuralgrasps.geometry.mesh import Mesh, box_mesh, load_mesh, merge_meshes, signed_distance, sphere_mesh
 from neuralgrasps.geometry.sdf_grid import (
     SdfGrid,
     build_sdf_grid,
@@ -21,6 +21,7 @@ from neuralgrasps.geometry.sdf_grid import (
     query_grid_gradient_numpy,
     query_grid_numpy,
 )
+from neuralgrasps.geometry.se3_numpy import make_transform_np
 
 RNG = np.random.default_rng(0)
 RANDOM = SdfGrid(RNG.normal(size=(5, 7, 4)).astype(np.float32), np.array([-0.1, 0.2, 0.3]), 0.05)
@@ -100,6 +101,20 @@ def test_built_grids_are_exact_at_nodes_and_close_between(name: str) -> None:
     assert error.max() < 0.9 * grid.spacing and np.median(error) < 0.02 * grid.spacing
     _, gradient = query_grid_gradient_numpy(grid, points)
     assert np.median(np.abs(np.linalg.norm(gradient, axis=1) - 1)) < 0.01
+
+
+@pytest.mark.parametrize("kind", ["thin", "cavity", "open", "overlapping"])
+def test_signs_of_difficult_grids_equal_asking_every_node(kind: str) -> None:
+    whole, inner = box_mesh([0.03, 0.05, 0.02]), box_mesh([0.02, 0.02, 0.01])
+    mesh = {
+        "thin": box_mesh([0.03, 0.05, 5e-4]),  # a third of a cell thick
+        "cavity": merge_meshes([whole, Mesh(inner.vertices, inner.faces[:, ::-1])]),
+        "open": Mesh(whole.vertices, whole.faces[:-1]),
+        "overlapping": merge_meshes([whole, whole.transformed(make_transform_np(None, [0.02, 0.03, 0]))]),
+    }[kind]
+    grid = build_sdf_grid(mesh, cells=30, padding=0.01)
+    nodes = grid.origin + grid.spacing * np.indices(grid.values.shape).reshape(3, -1).T
+    np.testing.assert_allclose(grid.values.ravel(), signed_distance(mesh, nodes), atol=1e-8)
 
 
 def test_far_outside_it_is_nearly_the_distance() -> None:
