@@ -117,7 +117,7 @@ def _compute(mesh: Mesh) -> _Derived:
     cells = int(np.clip(np.ceil(longest / _FINEST_SPACING_M), 32, _MAX_CELLS))
     sdf = build_sdf_grid(mesh, cells=cells, padding=_PADDING_M)
     points, normals = surface_points(mesh, _NUM_POINTS)
-    parts = make_convex_parts(mesh)
+    parts = make_convex_parts(mesh, sdf)
     symmetry = find_symmetry(points, sdf)
     notes = {**_part_notes(parts), "symmetry": _symmetry_note(symmetry)}
     if not is_closed(mesh):

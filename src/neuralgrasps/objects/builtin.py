@@ -46,11 +46,11 @@ def _carton(size: tuple[float, float, float]) -> Mesh:
 def _can_profile(height: float) -> tuple[np.ndarray, np.ndarray]:
     """Heights and insets of a tin from the middle of its base to the middle of its lid.
 
-    Two seamed rims at the full size, a body 0.7 mm inside them with two groups of three beads, lids recessed by
+    Two seamed rims at the full size, a body 0.4 mm inside them with two groups of three beads, lids recessed by
     0.8 mm. Everything is within 1 mm of the convex hull, so that physics can use the hull.
     """
     turn = np.linspace(0.0, 0.5 * np.pi, 5)
-    rim, body, lid = 0.0012, 0.0007, 0.0008
+    rim, body, lid = 0.0012, 0.0004, 0.0008
     # base rim: up over the inner edge, round the outer edge, then in to the body
     base = [(lid, 0.010), (lid, 0.0042), (0.0, 0.0034)]
     base += [(rim * (1.0 - np.cos(t)), rim * (1.0 - np.sin(t))) for t in turn]
@@ -163,7 +163,7 @@ def _bottle(shape: _Bottle, size: tuple[float, float, float]) -> Mesh:
     outlines, z_mm = [], []
     for z, inset in heights:
         half_x, half_y, exponent, centre_y = section(z)
-        outlines.append(superellipse(half_x - inset, half_y - inset, exponent, _AROUND) + (0.0, centre_y))
+        outlines.append(superellipse(half_x - inset, half_y - inset, exponent, _AROUND) + np.array([0.0, centre_y]))
         z_mm.append(z)
     for z, radius in shape.closure[1:]:
         outlines.append(superellipse(radius, radius, 2.0, _AROUND))
