@@ -116,6 +116,12 @@ def test_a_constant_equality_fixes_the_joint(write):
     np.testing.assert_allclose(forward_numpy(tree, np.zeros(1))[2, :3, 0], [np.cos(0.4), 0, -np.sin(0.4)], atol=1e-15)
 
 
+def test_a_constant_counts_from_the_reference(write):
+    text = two_joints('<joint joint1="j2" polycoef="0.4 0 0 0 0"/>').replace('name="j2"', 'name="j2" ref="0.3"')
+    tree = load_mjcf(write("h.xml", text)).tree  # j2 reads 0.7, which is 0.4 away from its zero posture
+    np.testing.assert_allclose(forward_numpy(tree, np.zeros(1))[2, 0, 0], np.cos(0.4), atol=1e-15)
+
+
 def test_a_curved_equality_becomes_a_line_and_says_how_far_off(write):
     read = load_mjcf(write("h.xml", two_joints('<joint joint1="j2" joint2="j1" polycoef="0 0.5 0.1 0 0"/>')))
     assert "curved" in read.repairs[0] and "off by up to" in read.repairs[0]

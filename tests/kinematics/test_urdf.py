@@ -158,6 +158,13 @@ def test_a_useless_effort_gets_a_default(write, effort):
     assert read.tree.effort[0] == 1.0 and "effort is missing, 0 or not finite for j0" in read.repairs[0]
 
 
+def test_effort_may_come_from_a_follower(write):
+    leader = hinge(limit='lower="-1" upper="1" effort="0"')
+    follower = hinge('<mimic joint="j0" multiplier="-3"/>', limit='lower="-3" upper="3" effort="2"')
+    read = load_urdf(write("r.urdf", robot(leader, follower, links="abc")))
+    assert read.tree.effort.tolist() == [6.0] and not read.repairs  # power: 2 N m at three times the speed
+
+
 def test_a_long_axis_is_normalised_and_said(write):
     read = load_urdf(write("r.urdf", robot(hinge(axis="0 0 -2"), **SHORT)))
     np.testing.assert_allclose(read.tree.axes[1], [0, 0, -1])
