@@ -90,7 +90,7 @@ def histogram_svg(values: Mapping[str, np.ndarray], unit: str, *, limit: float |
 
 def bars_svg(names: Sequence[str], values: Sequence[float], unit: str, *, label: str = "") -> str:
     """Horizontal bars with their names before and their values behind."""
-    row, width, name_width, value_width = 27, 640, 170, 84
+    row, width, name_width, value_width = 27, 560, 132, 74
     height = row * len(names) + 6
     biggest = max([v for v in values if math.isfinite(v)] or [1.0]) or 1.0
     parts = []

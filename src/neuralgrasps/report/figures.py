@@ -110,6 +110,7 @@ def render_pose_overlay(
     intrinsics: Intrinsics,
     *,
     X_CO_true: np.ndarray | None = None,
+    scale: int = 2,
 ) -> np.ndarray:
     """The found pose drawn over the camera's picture: tinted object and a crisp outline; the true outline in white.
 
@@ -119,24 +120,25 @@ def render_pose_overlay(
         X_CO: (4, 4) found pose, camera frame (OpenCV).
         intrinsics: the camera; must be of the image's size.
         X_CO_true: (4, 4) true pose, when known.
+        scale: pixels of the picture per pixel of the image, each way.
     Returns:
-        (h, w, 3) uint8.
+        (h * scale, w * scale, 3) uint8.
     """
     background = render_depth(image) if image.ndim == 2 else image[..., :3]
     if background.shape[:2] != (intrinsics.height, intrinsics.width):
         size = (intrinsics.height, intrinsics.width)
         raise ShapeError(f"image has shape {image.shape}; the camera's images are {size} (height, width).")
     mesh = obj if isinstance(obj, Mesh) else obj.mesh
-    factor = 3
-    canvas = np.repeat(np.repeat(background, factor, 0), factor, 1) / 255.0
-    light, mask = _headlight(mesh, X_CO, intrinsics.scaled(factor))
+    factor = 2 * scale  # drawn twice as fine, then averaged: smooth lines
+    fine = intrinsics.scaled(factor)
+    canvas = np.asarray(Image.fromarray(background).resize((fine.width, fine.height), Image.Resampling.BICUBIC)) / 255.0
+    light, mask = _headlight(mesh, X_CO, fine)
     tint = linear_to_srgb(linear_rgb("#19b5a5")) * (0.35 + 0.65 * light[..., None])
     canvas = np.where(mask[..., None], 0.42 * canvas + 0.58 * tint, canvas)
     if X_CO_true is not None:
-        canvas = _outline(canvas, _headlight(mesh, X_CO_true, intrinsics.scaled(factor))[1], np.ones(3), 1.1 * factor)
-    canvas = _outline(canvas, mask, np.array([0.02, 0.36, 0.34]), 1.1 * factor)
-    h, w = background.shape[:2]
-    small = srgb_to_linear(canvas).reshape(h, factor, w, factor, 3).mean(axis=(1, 3))
+        canvas = _outline(canvas, _headlight(mesh, X_CO_true, fine)[1], np.ones(3), 0.9 * factor)
+    canvas = _outline(canvas, mask, np.array([0.02, 0.36, 0.34]), 0.9 * factor)
+    small = srgb_to_linear(canvas).reshape(fine.height // 2, 2, fine.width // 2, 2, 3).mean(axis=(1, 3))
     return np.round(np.clip(linear_to_srgb(small), 0, 1) * 255).astype(np.uint8)
 
 
@@ -150,7 +152,7 @@ def render_depth(depth: np.ndarray) -> np.ndarray:
     at = np.clip((np.where(valid, depth, low) - low) / max(high - low, 1e-6), 0, 1)
     stops = np.stack([linear_rgb(c) for c in ("#fbf3df", "#b9d3c8", "#5f9db0", "#2f5f8a", "#1c2f55")])
     colour = np.stack([np.interp(at, np.linspace(0, 1, 5), linear_to_srgb(stops[:, k])) for k in range(3)], -1)
-    return np.round(np.where(valid[..., None], colour, 0.62) * 255).astype(np.uint8)
+    return np.round(np.where(valid[..., None], colour, 0.84) * 255).astype(np.uint8)
 
 
 def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray) -> list[Surface]:

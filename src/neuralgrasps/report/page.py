@@ -25,7 +25,8 @@ from neuralgrasps.report.sections import (
 from neuralgrasps.report.table_sections import (
     dataset_table,
     histograms_html,
-    model_table,
+    reconstruction_table,
+    retrieval_table,
     synthesis_table,
     table_html,
     times_section,
@@ -49,8 +50,9 @@ _TEXTS = {
     "transfer": "A grasp of one hand, carried to another through the shared latent space.",
     "latent": "Every mark is one grasp, placed by t-SNE so that near codes are near. Where the colours mix, "
     "different hands hold the object in the same way; distances between far groups mean nothing.",
-    "pose": "Left, the depth image that the camera saw. Right, the pose found in it: the object tinted and "
-    "outlined. Errors are measured against the true pose, up to the object's own symmetries.",
+    "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: the object "
+    "tinted and outlined; a white outline is the true pose. Errors are measured against it, up to the object's own "
+    "symmetries.",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
     "notes": "",
@@ -163,7 +165,7 @@ def _numbers(report: DemoReport) -> str:
     if report.dataset:
         parts.append(table_html(dataset_table(report.dataset)))
     if report.model:
-        parts.append(table_html(model_table(report.model)))
+        parts += [table_html(t) for t in (retrieval_table(report.model), reconstruction_table(report.model)) if t.rows]
     parts += [table_html(table) for table in report.tables]
     return "".join(parts)
 

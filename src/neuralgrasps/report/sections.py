@@ -62,7 +62,7 @@ def grasps_section(grasps: Sequence[GraspFigure], pictures: PictureEncoder) -> s
     parts = []
     for name in _unique(g.object for g in grasps):
         cards = [_grasp_card(g, pictures) for g in grasps if g.object == name]
-        parts.append(f"<h3>{escape(_pretty(name))}</h3>{_grid(cards)}")
+        parts.append(f"<h3>{escape(pretty_name(name))}</h3>{_grid(cards)}")
     return "".join(parts)
 
 
@@ -71,11 +71,11 @@ def contacts_section(contacts: Sequence[ContactFigure], pictures: PictureEncoder
     for name in _unique(c.object for c in contacts):
         cards = []
         for c in (c for c in contacts if c.object == name):
-            share = [("contact on", f"{100 * c.area_share:.1f} % of the surface")] if c.area_share is not None else []
-            words = f"Contact map of {c.hand} on {_pretty(c.object)}."
+            share = [("touched", f"{100 * c.area_share:.1f} % of surface")] if c.area_share is not None else []
+            words = f"Contact map of {c.hand} on {pretty_name(c.object)}."
             caption = f"<figcaption>{_hand_title(c.hand)}{_facts(share)}{_note(c.note)}</figcaption>"
             cards.append(f"<figure>{pictures.button(c.image, words)}{caption}</figure>")
-        parts.append(f"<h3>{escape(_pretty(name))}</h3>{_grid(cards)}")
+        parts.append(f"<h3>{escape(pretty_name(name))}</h3>{_grid(cards)}")
     return "".join(parts)
 
 
@@ -86,14 +86,16 @@ def retrieval_section(rows: Sequence[RetrievalRow], pictures: PictureEncoder) ->
         cards += [_neighbour_card(n, "", "", row.object, pictures) for n in row.nearest]
         if row.farthest is not None:
             cards.append(_neighbour_card(row.farthest, "far", "farthest", row.object, pictures))
-        parts.append(f'<h3>{escape(_pretty(row.object))}</h3><div class="row">{"".join(cards)}</div>')
+        parts.append(f'<h3>{escape(pretty_name(row.object))}</h3><div class="row">{"".join(cards)}</div>')
     return "".join(parts)
 
 
 def transfer_section(transfers: Sequence[TransferFigure], pictures: PictureEncoder) -> str:
     cards = []
     for t in transfers:
-        buttons = "".join(pictures.button(n.image, f"{n.hand} on {_pretty(t.object)}") for n in (t.source, t.target))
+        buttons = "".join(
+            pictures.button(n.image, f"{n.hand} on {pretty_name(t.object)}") for n in (t.source, t.target)
+        )
         title = f"{_dot(t.source.hand)}{escape(t.source.hand)} → {_dot(t.target.hand)}{escape(t.target.hand)}"
         facts = _facts(
             [("contact similarity", _number(t.target.similarity, ".2f"))] if t.target.similarity is not None else []
@@ -107,7 +109,7 @@ def latent_section(maps: Sequence[LatentMap]) -> str:
     cards = []
     for m in maps:
         svg = scatter_svg(m.points, m.hands, m.notes, label=f"t-SNE of {m.title}")
-        title = f'<div class="top">{escape(_pretty(m.title))}<span class="chip">{len(m.hands)} grasps</span></div>'
+        title = f'<div class="top">{escape(pretty_name(m.title))}<span class="chip">{len(m.hands)} grasps</span></div>'
         cards.append(f'<figure><div class="plot">{svg}</div><figcaption>{title}{_note(m.text)}</figcaption></figure>')
     hands = [hand for m in maps for hand in m.hands]
     return legend_html(hands) + _grid(cards, wide=True)
@@ -116,7 +118,7 @@ def latent_section(maps: Sequence[LatentMap]) -> str:
 def pose_section(poses: Sequence[PoseFigure], pictures: PictureEncoder) -> str:
     cards = []
     for p in poses:
-        name = _pretty(p.object)
+        name = pretty_name(p.object)
         buttons = pictures.button(p.observed, f"What the camera saw: {name}")
         buttons += pictures.button(p.overlay, f"Pose found for {name}, drawn over the image")
         facts = [
@@ -138,14 +140,14 @@ def _grasp_card(grasp: GraspFigure, pictures: PictureEncoder) -> str:
         ("slip", _number(grasp.displacement_mm, ".1f", "mm")),
     ]
     facts = [(label, value) for label, value in facts if value != "–"]
-    words = ", ".join([f"{grasp.hand} on {_pretty(grasp.object)}", *(f"{k} {v}" for k, v in facts)])
+    words = ", ".join([f"{grasp.hand} on {pretty_name(grasp.object)}", *(f"{k} {v}" for k, v in facts)])
     caption = f"{_hand_title(grasp.hand, _verdict(grasp.success))}{_facts(facts)}{_note(grasp.note)}"
     return f"<figure>{pictures.button(grasp.image, words)}<figcaption>{caption}</figcaption></figure>"
 
 
 def _neighbour_card(item: Neighbour, css: str, tag: str, name: str, pictures: PictureEncoder) -> str:
     label = f'<span class="tag">{tag}</span>' if tag else ""
-    words = f"{tag or 'nearest'}: {item.hand} on {_pretty(name)}"
+    words = f"{tag or 'nearest'}: {item.hand} on {pretty_name(name)}"
     similarity = ""
     if item.similarity is not None:
         share = 100 * min(max(item.similarity, 0.0), 1.0)
@@ -193,7 +195,7 @@ def _grid(cards: Sequence[str], *, wide: bool = False) -> str:
     return f'<div class="grid{" wide" if wide else ""}">{"".join(cards)}</div>'
 
 
-def _pretty(name: str) -> str:
+def pretty_name(name: str) -> str:
     """'006_mustard_bottle' -> 'mustard bottle'."""
     head, _, tail = name.partition("_")
     return (tail if head.isdigit() and tail else name).replace("_", " ")

@@ -10,6 +10,7 @@ import numpy as np
 from neuralgrasps.report.charts import bars_svg, histogram_svg, legend_html, short_number
 from neuralgrasps.report.content import PAPER_RETRIEVAL, Histogram, ModelRow, StageTime, SynthesisRow, Table
 from neuralgrasps.report.palette import HAND_COLOURS, hand_colour
+from neuralgrasps.report.sections import pretty_name
 
 Cell = str | float | int | None
 
@@ -20,7 +21,7 @@ def synthesis_table(rows: Sequence[SynthesisRow]) -> Table:
     body: list[tuple[Cell, ...]] = [
         (
             r.hand,
-            r.object,
+            pretty_name(r.object),
             r.candidates,
             r.valid,
             r.validated,
@@ -55,10 +56,10 @@ def synthesis_table(rows: Sequence[SynthesisRow]) -> Table:
     )
 
 
-def model_table(rows: Sequence[ModelRow]) -> Table:
-    """Retrieval and reconstruction per object, the published figures beside ours."""
-    columns = ("object", "grasps", "near, by code", "best possible", "gap", "paper: near / best", "far, by code")
-    columns += ("lowest possible", "paper: far / lowest", "hand, mm", "object, mm", "Chamfer ×10⁻³", "perfect scores")
+def retrieval_table(rows: Sequence[ModelRow]) -> Table:
+    """Nearest and farthest grasps found by code, the published figures beside ours."""
+    columns = ("object", "grasps", "near, by code", "best possible", "gap", "paper near / best")
+    columns += ("far, by code", "lowest possible", "paper far / lowest")
     body = []
     for r in rows:
         paper = PAPER_RETRIEVAL.get(_plain(r.object))
@@ -66,31 +67,55 @@ def model_table(rows: Sequence[ModelRow]) -> Table:
         near_paper = f"{paper[0]:.2f} / {paper[1]:.2f}" if paper else None
         far_paper = f"{paper[2]:.2f} / {paper[3]:.2f}" if paper else None
         near = (_fixed(r.near_code), _fixed(r.near_contact), _fixed(gap, 3), near_paper)
-        far = (_fixed(r.far_code), _fixed(r.far_contact), far_paper)
-        errors = (r.hand_error_mm, r.object_error_mm, r.chamfer_e3, r.chamfer_oracle_e3)
-        body.append((r.object, r.grasps, *near, *far, *errors))
+        body.append((pretty_name(r.object), r.grasps, *near, _fixed(r.far_code), _fixed(r.far_contact), far_paper))
     return Table(
-        title="Latent space and reconstruction",
+        title="Retrieval through the latent space",
         columns=columns,
         rows=tuple(body),
-        meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best "
-        "that any grasp in the set offers; the gap is what the code loses. Far is the same for the least "
-        "similar grasp: lower is better. Errors in mm are mean two-sided surface distances.",
-        how="Held-out grasps, never seen in training. The published Chamfer measure compares a filled shape "
-        "with a surface, so even a perfect reconstruction scores above zero: that score stands in the "
-        "last column. The paper's figures are for its own grasps and hands.",
+        meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best that "
+        "any grasp in the set offers; the gap is what the code loses. Far is the same for the least similar grasp: "
+        "lower is better.",
+        how="Queries are held-out grasps, never seen in training; every grasp of the set may answer. The paper's "
+        "figures are for its own grasps and hands.",
+    )
+
+
+def reconstruction_table(rows: Sequence[ModelRow]) -> Table:
+    """Errors of the shapes decoded from codes, beside what a perfect decoder would score."""
+    shown = [r for r in rows if any(v is not None for v in (r.hand_error_mm, r.object_error_mm, r.chamfer_e3))]
+    return Table(
+        title="Reconstruction from codes",
+        columns=("object", "grasps", "hand surface, mm", "object surface, mm", "Chamfer ×10⁻³", "a perfect one scores"),
+        rows=tuple(
+            (pretty_name(r.object), r.grasps, r.hand_error_mm, r.object_error_mm, r.chamfer_e3, r.chamfer_oracle_e3)
+            for r in shown
+        ),
+        meaning="How far the decoded surfaces lie from the true ones, in millimetres. The published Chamfer measure "
+        "compares a filled shape with a surface, so even a perfect reconstruction scores above zero, as the last column "
+        "shows.",
+        how="Mean distance between the surfaces, both ways, on held-out grasps.",
     )
 
 
 def times_section(times: Sequence[StageTime]) -> str:
     columns = ("stage", "wall s", "CPU s", "peak memory, MiB")
-    rows: list[tuple[Cell, ...]] = [(t.stage, t.wall_s, t.cpu_s, _whole(t.peak_memory_mib)) for t in times]
+    rows: list[tuple[Cell, ...]] = [
+        (t.stage, float(t.wall_s), None if t.cpu_s is None else float(t.cpu_s), _whole(t.peak_memory_mib))
+        for t in times
+    ]
     cpu = [t.cpu_s for t in times if t.cpu_s is not None]
     peaks = [t.peak_memory_mib for t in times if t.peak_memory_mib is not None]
-    total = ("all", sum(t.wall_s for t in times), sum(cpu) if cpu else None, _whole(max(peaks)) if peaks else None)
+    total = (
+        "all",
+        float(sum(t.wall_s for t in times)),
+        float(sum(cpu)) if cpu else None,
+        _whole(max(peaks)) if peaks else None,
+    )
     chart = bars_svg([t.stage for t in times], [t.wall_s for t in times], "s", label="wall time of each stage")
     table = Table(title="", columns=columns, rows=(*rows, total), strong_rows=(len(rows),))
-    return f'<figure><div class="plot">{chart}</div></figure>{table_html(table)}'
+    return (
+        f'<div class="grid wide"><figure><div class="plot">{chart}</div></figure><div>{table_html(table)}</div></div>'
+    )
 
 
 def dataset_table(facts: Sequence[tuple[str, str]]) -> Table:
@@ -112,13 +137,11 @@ def table_html(table: Table) -> str:
         strong = ' class="strong"' if index in table.strong_rows else ""
         body.append(f"<tr{strong}>{cells}</tr>")
     title = f"<h3>{escape(table.title)}</h3>" if table.title else ""
-    text = ""
-    if table.meaning:
-        text += f'<p class="how"><b>What it means.</b> {escape(table.meaning)}</p>'
-    if table.how:
-        text += f'<p class="how"><b>How it was measured.</b> {escape(table.how)}</p>'
+    words = (("What it means.", table.meaning), ("How it was measured.", table.how))
+    text = "".join(f'<p class="how"><b>{label}</b> {escape(value)}</p>' for label, value in words if value)
+    small = " small" if len(table.columns) <= 3 else ""
     content = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-    return f'{title}<div class="scroll" tabindex="0">{content}</div>{text}'
+    return f'{title}<div class="scroll{small}" tabindex="0">{content}</div><div class="explain">{text}</div>'
 
 
 def histograms_html(histograms: Sequence[Histogram]) -> str:
