@@ -10,7 +10,8 @@ import numpy as np
 from neuralgrasps.errors import MeshError, RobotDescriptionError, unknown_name
 from neuralgrasps.geometry.mesh import Mesh, convex_hull
 from neuralgrasps.geometry.sampling import farthest_points
-from neuralgrasps.hands.annotate import complete_notes, moved_links
+from neuralgrasps.hands.annotate import complete_notes, couple_jaw
+from neuralgrasps.hands.chains import moved_links
 from neuralgrasps.hands.hand import ConvexPart, Finger, Hand, PartKind
 from neuralgrasps.hands.notes import HandNotes, JointNotes
 from neuralgrasps.kinematics.description import LinkGeometry, RobotDescription
@@ -43,8 +44,9 @@ def hand_from_description(description: RobotDescription, notes: HandNotes | None
         raise RobotDescriptionError(
             f"hand '{description.name}' has no geometry; add a collision or visual shape to its links."
         )
-    complete, guesses = complete_notes(description.name, description.tree, parts, given)
-    tree = _with_efforts(description.tree, complete)
+    tree, coupled = couple_jaw(description.name, description.tree, parts, given)
+    complete, guesses = complete_notes(description.name, tree, parts, given)
+    tree = _with_efforts(tree, complete)
     joints = [complete.joints[name] for name in tree.dof_names]
     X_HP, fingers = complete.X_HP, complete.fingers
     assert X_HP is not None and fingers is not None
@@ -64,7 +66,7 @@ def hand_from_description(description: RobotDescription, notes: HandNotes | None
         jaw_pad_H=X_HP[:3, 3].copy() if complete.jaw_pad_H is None else complete.jaw_pad_H,
         licence=complete.licence or "not stated",
         provenance=complete.provenance or f"{description.source.name}",
-        extra={"repairs": "\n".join((*description.repairs, *repairs)), "annotated": "\n".join(guesses)},
+        extra={"repairs": "\n".join((*description.repairs, *repairs)), "annotated": "\n".join((*coupled, *guesses))},
     )
     _check_limits(hand)
     return hand

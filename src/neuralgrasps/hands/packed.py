@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from neuralgrasps.hands.chains import rigid_bodies
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.parts import bounding_sphere, hull_planes, part_distance
-from neuralgrasps.hands.surface import HandSurface, rigid_bodies, sample_hand_surface
+from neuralgrasps.hands.surface import HandSurface, sample_hand_surface
 from neuralgrasps.kinematics.forward_kernels import forward_fast, link_poses
 
 _PAIR_SPACING = 0.005  # sampling that decides which links may touch

@@ -11,6 +11,7 @@ from numba import njit
 
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
+from neuralgrasps.hands.chains import rigid_bodies
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.parts import part_distances, part_mesh, sample_part
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
@@ -69,15 +70,6 @@ def sample_hand_surface(hand: Hand, *, spacing: float) -> HandSurface:
         normals_L=np.concatenate(normals)[order],
         links=link[order].astype(np.int32),
     )
-
-
-def rigid_bodies(tree: KinematicTree) -> np.ndarray:
-    """(L,) the first link of the rigid body that each link belongs to; fixed joints join links."""
-    body = np.arange(tree.num_links)
-    for i, parent in enumerate(tree.parents):
-        if parent >= 0 and tree.joint_types[i] == FIXED:
-            body[i] = body[parent]
-    return body
 
 
 def _poses_in_body(tree: KinematicTree) -> np.ndarray:
