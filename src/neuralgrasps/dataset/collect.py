@@ -1,0 +1,131 @@
+"""Synthesise grasps for many hands and objects into a folder: on all cores, resumable, the same for any worker count."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import neuralgrasps
+from neuralgrasps.dataset.shards import fingerprint_of
+from neuralgrasps.errors import DataFormatError
+from neuralgrasps.files import write_whole
+from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.packed import pack_hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.parallel import run_tasks
+from neuralgrasps.synthesis.synthesise import SynthesisConfig, SynthesisResult, synthesise
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairRecord:
+    """What synthesis did for one hand and object; times are those of the run that made the grasps.
+
+    Attributes:
+        hand, object: names. wanted, validated: grasps asked for, and found.
+        proposals: start poses drawn; valid: closed hands that passed all geometric tests, before refinement.
+        tried: grasps that went into physics; physics_success: share of them that held, nan when none was tried.
+        cpu_s: CPU-seconds. reason: why fewer than wanted were found, "" otherwise.
+    """
+
+    hand: str
+    object: str
+    wanted: int
+    validated: int
+    proposals: int
+    valid: int
+    tried: int
+    physics_success: float
+    cpu_s: float
+    reason: str
+
+
+def record_of(result: SynthesisResult, wanted: int) -> PairRecord:
+    """The numbers of one synthesis."""
+    return PairRecord(
+        hand=result.grasps.hand,
+        object=result.grasps.object,
+        wanted=wanted,
+        validated=result.validated,
+        proposals=result.proposals,
+        valid=result.outcomes["valid"],
+        tried=result.tried,
+        physics_success=result.physics_success,
+        cpu_s=sum(result.cpu_s.values()),
+        reason=result.reason,
+    )
+
+
+def collect_grasps(
+    folder: str | Path,
+    hands: Sequence[Hand],
+    objects: Sequence[ObjectModel],
+    *,
+    config: SynthesisConfig | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[list[GraspSet], list[PairRecord]]:
+    """Grasps of every hand on every object, one file a pair.
+
+    A pair whose file is there, made from the same hand, object, config, seed and version, is read instead of
+    made again; so a run that was killed goes on where it was.
+
+    Args:
+        folder: gets `<object>/<hand>.safetensors` and a `.json` with the numbers beside each.
+        workers: processes; all processors when None. The grasps do not depend on it.
+        progress: called with (pairs done, pairs, text).
+    Returns:
+        Grasp sets and records, by object, then hand, in the order given. A set may hold fewer than wanted, or none.
+    Raises:
+        StorageError: the folder cannot be written.
+    """
+    folder, config = Path(folder), config or SynthesisConfig()
+    pairs = [(hand, obj) for obj in objects for hand in hands]
+    fingerprints = {hand.name: fingerprint_of(pack_hand(hand, spacing=0.009)) for hand in hands}
+    keys = [_key(fingerprints[hand.name], obj, config, seed) for hand, obj in pairs]
+    paths = [folder / obj.name / f"{hand.name}.safetensors" for hand, obj in pairs]
+    done = {i: found for i, path in enumerate(paths) if (found := _read(path, keys[i])) is not None}
+    # dexterous hands take longest: first in, so that no worker ends alone
+    todo = sorted((i for i in range(len(pairs)) if i not in done), key=lambda i: -pairs[i][0].num_dofs)
+    tasks = [(*pairs[i], config, seed) for i in todo]
+    if progress is not None and done:
+        progress(len(done), len(pairs), "kept from an earlier run")
+    for index, result in run_tasks(_synthesise_pair, tasks, workers=workers):
+        i = todo[index]
+        record = record_of(result, config.count)
+        grasps = result.grasps.with_config(key=keys[i])
+        write_whole(paths[i].with_suffix(".json"), json.dumps(asdict(record), indent=1).encode())
+        save_grasps(paths[i], grasps)
+        done[i] = (grasps, record)
+        if progress is not None:
+            progress(len(done), len(pairs), f"{record.hand} on {record.object}: {record.validated}")
+    return [done[i][0] for i in range(len(pairs))], [done[i][1] for i in range(len(pairs))]
+
+
+def _synthesise_pair(hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int) -> SynthesisResult:
+    return synthesise(hand, obj, config=config, seed=seed)
+
+
+def _key(hand_fingerprint: str, obj: ObjectModel, config: SynthesisConfig, seed: int) -> str:
+    parts = [neuralgrasps.__version__, hand_fingerprint, obj.content_hash, json.dumps(asdict(config)), str(seed)]
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _read(path: Path, key: str) -> tuple[GraspSet, PairRecord] | None:
+    """A finished pair; None when there is none, it is damaged, or it was made from something else."""
+    beside = path.with_suffix(".json")
+    if not (path.is_file() and beside.is_file()):
+        return None
+    try:
+        grasps = load_grasps(path)
+        record = PairRecord(**json.loads(beside.read_text()))
+    except (DataFormatError, ValueError, TypeError):
+        return None
+    return (grasps, record) if grasps.config.get("key") == key else None
