@@ -60,12 +60,13 @@ def test_primitives_are_closed_and_have_the_volume_of_the_solid(
 
 def test_mass_moves_with_the_mesh() -> None:
     X = make_transform_np(rpy_matrix([0.3, -1.0, 2.0]), [5.0, -3.0, 1.0])
-    wedge = Mesh(*convex_hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]))
-    assert mass_properties(wedge).volume == pytest.approx(1 / 6)
-    np.testing.assert_allclose(mass_properties(wedge).centre, 0.25, atol=1e-15)
-    moved = mass_properties(wedge.transformed(X))
-    assert moved.volume == pytest.approx(1 / 6, rel=1e-13)
-    np.testing.assert_allclose(moved.centre, X[:3, :3] @ np.full(3, 0.25) + X[:3, 3], atol=1e-13)
+    pyramid = Mesh(*convex_hull([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0.5, 0.5, 1]]))
+    centre = np.array([0.5, 0.5, 0.25])
+    assert mass_properties(pyramid).volume == pytest.approx(1 / 3)
+    np.testing.assert_allclose(mass_properties(pyramid).centre, centre, atol=1e-15)
+    moved = mass_properties(pyramid.transformed(X))
+    assert moved.volume == pytest.approx(1 / 3, rel=1e-13)
+    np.testing.assert_allclose(moved.centre, X[:3, :3] @ centre + X[:3, 3], atol=1e-13)
 
 
 def test_mesh_is_frozen_checked_and_hashed_by_content() -> None:
@@ -110,6 +111,16 @@ def test_distance_to_an_open_box_keeps_its_size_and_sign() -> None:
     gappy = Mesh(vertices + (centre - vertices) * 5e-5, np.arange(36).reshape(12, 3))
     assert not is_closed(gappy)
     np.testing.assert_allclose(signed_distance(gappy, POINTS), box_distance(POINTS), atol=5e-6)
+
+
+def test_a_missing_side_leaves_inside_what_is_mostly_enclosed() -> None:
+    cube = box_mesh([0.03, 0.03, 0.03])
+    tray = Mesh(cube.vertices, cube.faces[~(cube.triangles[:, :, 2] > 0.029).all(axis=1)])
+    assert len(tray.faces) == 10
+    # The winding number is 5/6 at the centre and 1/2 near the rim's plane.
+    inside = contains(tray, [[0, 0, 0], [0, 0, 0.025], [0, 0, 0.035], [0.031, 0, 0]])
+    assert inside.tolist() == [True, True, False, False]
+    assert signed_distance(tray, [[0, 0, 0], [0, 0, 0.035]]) == pytest.approx([-0.03, np.hypot(0.03, 0.005)])
 
 
 def test_distance_to_overlapping_bodies_is_negative_in_both() -> None:

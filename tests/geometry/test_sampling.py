@@ -53,6 +53,8 @@ def test_surface_samples_are_on_their_face_and_uniform() -> None:
     areas, face_normals = face_areas_normals(mesh)
     np.testing.assert_array_equal(normals, face_normals[face])
     np.testing.assert_allclose(np.bincount(face) / 40000, areas / areas.sum(), atol=0.01)
+    mean = np.stack([np.bincount(face, points[:, k]) for k in range(3)], axis=1) / np.bincount(face)[:, None]
+    np.testing.assert_allclose(mean, mesh.triangles.mean(axis=1), atol=0.002)  # also uniform within each face
     top = points[normals[:, 2] > 0.5]
     np.testing.assert_allclose(top[:, :2].std(axis=0), HALF[:2] / 3**0.5, rtol=0.02)
     np.testing.assert_array_equal(points, sample_surface(mesh, 40000, 5)[0])
