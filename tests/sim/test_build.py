@@ -128,5 +128,5 @@ def test_leader_is_the_joint_that_equals_q() -> None:
 
 @pytest.mark.parametrize("effort", [0.0, np.inf, np.nan])
 def test_a_joint_without_effort_is_refused(box: ObjectModel, effort: float) -> None:
-    with pytest.raises(RobotDescriptionError, match="jaw_0.*effort"):
+    with pytest.raises(RobotDescriptionError, match=r"jaw_0.*effort"):
         grasp_model(toy_hand(effort=effort), box, DEX)
