@@ -50,9 +50,9 @@ _TEXTS = {
     "transfer": "A grasp of one hand, carried to another through the shared latent space.",
     "latent": "Every mark is one grasp, placed by t-SNE so that near codes are near. Where the colours mix, "
     "different hands hold the object in the same way; distances between far groups mean nothing.",
-    "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: the object "
-    "tinted and outlined; a white outline is the true pose. Errors are measured against it, up to the object's own "
-    "symmetries.",
+    "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: the "
+    "object tinted and outlined; a white outline is the true pose. Errors are measured against it, up to the object's "
+    "own symmetries.",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
     "notes": "",

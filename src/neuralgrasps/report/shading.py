@@ -21,9 +21,9 @@ from neuralgrasps.report.shadow_maps import dome_directions, shadow_maps
 from neuralgrasps.report.smooth_normals import corner_normals
 
 SUPERSAMPLING = 3
-_DOME_LIGHTS = 54  # a multiple of the nine samples of a pixel
-_DOME_MAP, _KEY_MAP = 144, 512  # cells per side of a shadow map
-_GROUND_CELLS, _GROUND_REACH = 176, 2.1  # the shadow on the ground: cells per side, half side in scene radii
+_DOME_LIGHTS = 45  # a multiple of the nine samples of a pixel
+_DOME_MAP, _KEY_MAP = 128, 512  # cells per side of a shadow map
+_GROUND_CELLS, _GROUND_REACH = 128, 2.1  # the shadow on the ground: cells per side, half side in scene radii
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,11 +182,14 @@ def _lit(x, y, z, axes, depth, inv_texel, bias, du, dv):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _sky_light(x, y, z, n, sample, sky):
+def _sky_light(x, y, z, n, sample, pixel, sky):
     """Light from this sample's share of the dome, scaled so that a free horizontal surface gets 1."""
     directions, axes, depth, texel = sky
     count = directions.shape[0]
     inv_texel = np.float32(1.0) / texel
+    # Neighbouring pixels ask the maps up to two cells apart, so that no single light draws a sharp shadow.
+    angle = pixel + np.float32(2.399963) * np.float32(sample)
+    du, dv = np.float32(1.8) * np.cos(angle), np.float32(1.8) * np.sin(angle)
     total = np.float32(0.0)
     for i in range(sample, count, 9):
         lx, ly, lz = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -194,7 +197,7 @@ def _sky_light(x, y, z, n, sample, sky):
         if facing > 0.0:
             radiance = np.float32(0.55) + np.float32(0.45) * lz
             if radiance > 0:
-                lit = _lit(x, y, z, axes[i], depth[i], inv_texel, texel * np.float32(1.2), 0.0, 0.0)
+                lit = _lit(x, y, z, axes[i], depth[i], inv_texel, texel * np.float32(2.2), du, dv)
                 total += radiance * facing * lit
     return total * np.float32(9.0 * 2.86) / np.float32(count)
 
@@ -259,7 +262,7 @@ def _light(p, n, g, view, gloss, sample, pixel, sky, key, lights):
     n is the shading normal, g the face's, both towards the camera; view the unit vector to the camera.
     """
     lift = sky[3] * np.float32(0.8)
-    diffuse = lights[0] * _sky_light(p[0] + g[0] * lift, p[1] + g[1] * lift, p[2] + g[2] * lift, n, sample, sky)
+    diffuse = lights[0] * _sky_light(p[0] + g[0] * lift, p[1] + g[1] * lift, p[2] + g[2] * lift, n, sample, pixel, sky)
     facing = _dot(n, key[0])
     shine = np.float32(0.0)
     if facing > 0:
@@ -314,6 +317,6 @@ def _fill_ground(height, reach, sky, key, dark_sky, dark_key):
             y = ((np.float32(j) + np.float32(0.5)) / size * 2 - 1) * reach
             light = np.float32(0.0)
             for sample in range(9):
-                light += _sky_light(x, y, height, up, sample, sky)
+                light += _sky_light(x, y, height, up, sample, np.float32(0.0), sky)
             dark_sky[i, j] = max(np.float32(1.0) - light / np.float32(9.0), np.float32(0.0))
             dark_key[i, j] = np.float32(1.0) - _key_light(x, y, height, 4, np.float32(0.0), key)

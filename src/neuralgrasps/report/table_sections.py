@@ -91,8 +91,8 @@ def reconstruction_table(rows: Sequence[ModelRow]) -> Table:
             for r in shown
         ),
         meaning="How far the decoded surfaces lie from the true ones, in millimetres. The published Chamfer measure "
-        "compares a filled shape with a surface, so even a perfect reconstruction scores above zero, as the last column "
-        "shows.",
+        "compares a filled shape with a surface, so even a perfect reconstruction scores above zero: see the last "
+        "column.",
         how="Mean distance between the surfaces, both ways, on held-out grasps.",
     )
 

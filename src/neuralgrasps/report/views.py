@@ -77,7 +77,7 @@ def best_direction(hand_meshes: Sequence[Mesh], object_mesh: Mesh) -> np.ndarray
     shares = counts / np.maximum(counts.max(axis=0), 1.0)
     pleasing = np.array([math.exp(-(((math.asin(d[2]) - 0.42) / 0.35) ** 2)) for d in candidates])
     # Square roots favour views that show a little of everything over those that show one thing alone.
-    score = np.sqrt(shares) @ [1.0, 0.7, 0.7, 0.6] + 0.4 * pleasing
+    score = np.sqrt(shares) @ [1.0, 0.7, 1.1, 0.5] + 0.4 * pleasing
     return candidates[int(np.argmax(score))]
 
 
