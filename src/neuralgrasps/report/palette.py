@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-# Darkened from Okabe and Ito's set so that every pair stays apart under deuteranopia, protanopia and tritanopia
-# (tests/report/test_palette.py simulates all three) and each reads on white and on near-black.
+# Five hues chosen for their look, then moved in lightness and hue until every pair is at least 0.1 apart in OKLab for
+# normal, protan, deutan and tritan vision (tests/report/test_palette.py simulates them); each reads on white and black.
 HAND_COLOURS: dict[str, str] = {
-    "fetch": "#2b6cb8",
-    "panda": "#e0912f",
-    "barrett": "#12957a",
-    "allegro": "#7d4fa8",
-    "human": "#d8637c",
+    "fetch": "#397ece",
+    "panda": "#ee9935",
+    "barrett": "#37b59c",
+    "allegro": "#6c3ba0",
+    "human": "#c44f6b",
 }
 _OTHER_COLOURS = ("#6b7280", "#a3a020", "#4fb3d9", "#8c564b", "#c04bb0", "#345c32")
 
