@@ -12,6 +12,7 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate, empty_grasps
 from neuralgrasps.grasps.penetration import penetration_depths
+from neuralgrasps.grasps.wrench_space import epsilon, grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
@@ -20,6 +21,7 @@ from neuralgrasps.sim.grasp_trial import validate_grasps
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import (
     CHECK_SPACING_M,
+    CONE_EDGES,
     CONTACTS_PER_LINK,
     OUTCOMES,
     VALID,
@@ -216,7 +218,7 @@ def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisCo
     points = np.full((count, room, 3), np.nan)
     normals = np.full((count, room, 3), np.nan)
     links = np.full((count, room), -1, np.int32)
-    squeeze = np.empty_like(closed.q)
+    squeeze, quality = np.empty_like(closed.q), np.empty(count)
     protocol = get_protocol(config.protocol)
     stiffness = joint_scale(hand, protocol.revolute.kp, protocol.prismatic.kp)
     X_HL = forward_fast(hand.tree, closed.q)
@@ -226,6 +228,10 @@ def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisCo
             points[i], normals[i], links[i],
         )  # fmt: skip
         points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
+        wrenches = grasp_wrenches(
+            points[i, :found], normals[i, :found], obj.com_O, config.friction, CONE_EDGES, config.torsion_m, fine.length
+        )
+        quality[i] = epsilon(wrenches)
         squeeze[i] = squeeze_joints(
             hand, closed.q[i], closed.X_OH[i], X_HL[i],
             (points[i, :found], normals[i, :found], links[i, :found]), obj.com_O,
@@ -242,7 +248,7 @@ def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisCo
         contact_points_O=points[:, :used],
         contact_normals_O=normals[:, :used],
         contact_links=links[:, :used],
-        epsilon=closed.epsilon,
+        epsilon=quality,
         penetration_m=depth,
         protocol=config.protocol,
         seed=seed,
