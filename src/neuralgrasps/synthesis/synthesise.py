@@ -238,7 +238,7 @@ def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisCo
             friction=config.friction, stiffness=stiffness,
         )  # fmt: skip
     used = int((links >= 0).sum(axis=1).max())
-    return GraspSet(
+    grasps = GraspSet(
         hand=hand.name,
         object=obj.name,
         X_OH=closed.X_OH,
@@ -254,6 +254,7 @@ def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisCo
         seed=seed,
         config={name: str(value) for name, value in asdict(config).items()},
     )
+    return grasps[quality > 0.0]
 
 
 def _prove(
