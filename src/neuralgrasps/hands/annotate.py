@@ -8,24 +8,20 @@ other tips; the palm faces where closing fingertips go; the thumb is the finger 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from neuralgrasps.errors import RobotDescriptionError
-from neuralgrasps.hands.chains import find_fingers, moved_links, rigid_bodies
+from neuralgrasps.hands.closing import MovableHand, closing_shares, movable_hand, open_and_closed, sliding_joints, unit
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
-from neuralgrasps.hands.parts import sample_part
-from neuralgrasps.kinematics.forward_kernels import forward_numpy
-from neuralgrasps.kinematics.tree import PRISMATIC, KinematicTree
+from neuralgrasps.kinematics.tree import KinematicTree
 
-PARALLEL = 0.7  # |cos| between flexion axes of one finger
 HALF_CLOSED = 0.5
 PRESHAPE_SHARE = 0.45  # of the way from open to closed
 WIDE_SPREAD = 1.5  # rad: a sideways joint with more range than this is a spread to choose freely
-_DENSITY = 1.0 / 0.006**2
-_TIP_SHARE = 0.1  # of a finger's outermost body: its end
+PAD_LENGTH = 0.02  # metres of a jaw's finger taken as its pad
 _GRID = 7
 
 
@@ -47,9 +43,9 @@ def complete_notes(
         raise RobotDescriptionError(f"hand '{name}' has no movable joints; expected at least one.")
     if _is_complete(tree, given):
         return given, ()
-    model = _model(name, tree, parts, given)
-    closing = _closing(model)
-    q_open, q_closed = _open_and_closed(model, closing)
+    model = movable_hand(name, tree, parts, given)
+    closing = closing_shares(model)
+    q_open, q_closed = open_and_closed(model, closing)
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
     is_jaw = _is_jaw(model, closing, q_open, q_closed) if given.is_jaw is None else given.is_jaw
     thumb = _thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else _given_thumb(given)
@@ -74,184 +70,27 @@ def _is_complete(tree: KinematicTree, given: HandNotes) -> bool:
 
 
 def _merge(given: JointNotes, guessed: JointNotes) -> JointNotes:
-    def first(a, b):  # type: ignore[no-untyped-def]
-        return b if a is None else a
-
-    preshape = first(given.preshape, guessed.preshape)
-    opened = given.open
-    if opened is None:
-        opened = float(np.clip(guessed.open, *preshape)) if given.preshape is not None else guessed.open
+    preshape, opened = given.preshape or guessed.preshape, given.open
+    if opened is None and guessed.open is not None and given.preshape is not None:
+        opened = float(np.clip(guessed.open, given.preshape[0], given.preshape[1]))
     return JointNotes(
-        close=first(given.close, guessed.close),
-        open=opened,
+        close=guessed.close if given.close is None else given.close,
+        open=guessed.open if opened is None else opened,
         preshape=preshape,
-        group=first(given.group, guessed.group),
+        group=given.group or guessed.group,
         effort=given.effort,
     )
-
-
-# -- the hand as something that can be moved and measured ----------------------
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Model:
-    """Tree with point clouds: per finger its links, its tip point and the surface of its outermost body."""
-
-    tree: KinematicTree
-    q0: np.ndarray  # 0, or the nearest value within the limits
-    palm: int
-    fingers: tuple[tuple[int, ...], ...]
-    tip_link: tuple[int, ...]
-    tip_L: tuple[np.ndarray, ...]
-    clouds: dict[int, tuple[np.ndarray, np.ndarray]]  # link -> points, normals in its frame
-    moved: np.ndarray  # (L, J)
-    palm_links: tuple[int, ...]
-
-    def poses(self, q: np.ndarray) -> np.ndarray:
-        return forward_numpy(self.tree, q)
-
-    def tips(self, q: np.ndarray) -> np.ndarray:
-        """(..., F, 3) tip points in H."""
-        X = self.poses(q)
-        tips = [X[..., i, :3, :3] @ p + X[..., i, :3, 3] for i, p in zip(self.tip_link, self.tip_L, strict=True)]
-        return np.stack(tips, axis=-2)
-
-    def cloud_H(self, links: Sequence[int], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        X = self.poses(q)
-        used = [i for i in links if i in self.clouds]
-        points = [self.clouds[i][0] @ X[i, :3, :3].T + X[i, :3, 3] for i in used]
-        normals = [self.clouds[i][1] @ X[i, :3, :3].T for i in used]
-        if not used:
-            return np.zeros((0, 3)), np.zeros((0, 3))
-        return np.concatenate(points), np.concatenate(normals)
-
-    def palm_centre(self, q: np.ndarray) -> np.ndarray:
-        points, _ = self.cloud_H(self.palm_links, q)
-        if not len(points):
-            return self.poses(q)[self.palm, :3, 3]
-        return (points.min(axis=0) + points.max(axis=0)) / 2
-
-
-def _model(name: str, tree: KinematicTree, parts: Sequence[ConvexPart], given: HandNotes) -> _Model:
-    palm, fingers = find_fingers(tree, parts)
-    if given.fingers is not None:
-        fingers = tuple(tuple(tree.link_names.index(n) for n in f.links) for f in given.fingers)
-    clouds: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-    for link in {p.link for p in parts}:
-        samples = [sample_part(p, _DENSITY) for p in parts if p.link == link]
-        clouds[link] = np.concatenate([s[0] for s in samples]), np.concatenate([s[1] for s in samples])
-    moved = moved_links(tree)
-    fingers = tuple(f for f in fingers if any(i in clouds for i in f) and moved[list(f)].any())
-    if not fingers:
-        raise RobotDescriptionError(
-            f"hand '{name}': no fingers found (branches with movable joints and geometry); name them in a hand.toml "
-            "with [[fingers]] tables."
-        )
-    body = rigid_bodies(tree)
-    q0 = np.clip(0.0, tree.lower, tree.upper)
-    X = forward_numpy(tree, q0)
-    ends = [_tip(tree, clouds, finger, X) for finger in fingers]
-    return _Model(
-        tree=tree,
-        q0=q0,
-        palm=palm,
-        fingers=fingers,
-        tip_link=tuple(e[0] for e in ends),
-        tip_L=tuple(e[1] for e in ends),
-        clouds=clouds,
-        moved=moved,
-        palm_links=tuple(int(i) for i in np.flatnonzero(body == palm)),
-    )
-
-
-def _tip(tree: KinematicTree, clouds: dict, finger: tuple[int, ...], X: np.ndarray) -> tuple[int, np.ndarray]:
-    """Outermost link with geometry and the middle of its far end, link frame."""
-    link = [i for i in finger if i in clouds][-1]
-    points = clouds[link][0] @ X[link, :3, :3].T + X[link, :3, 3]
-    base = X[finger[0], :3, 3]
-    reach = np.linalg.norm(points - base, axis=1)
-    far = reach >= np.quantile(reach, 1 - _TIP_SHARE)
-    return link, clouds[link][0][far].mean(axis=0)
-
-
-# -- closing -------------------------------------------------------------------
-
-
-def _closing(model: _Model) -> np.ndarray:
-    """(J,) signed share of each joint in closing, largest magnitude 1; 0 for joints that do not flex a finger."""
-    tree = model.tree
-    closing = np.zeros(tree.num_dofs)
-    X = model.poses(model.q0)
-    for f, finger in enumerate(model.fingers):
-        sense = _flexion_senses(model, finger, X)
-        if not sense.any():
-            continue
-        ends = [np.where(sense == 0, model.q0, np.where(sense * s > 0, tree.upper, tree.lower)) for s in (1.0, -1.0)]
-        cost = [_tip_cost(model, f, q) for q in ends]
-        best = 0 if cost[0] <= cost[1] else 1
-        sign = sense * (1.0, -1.0)[best]
-        room = np.abs(ends[best] - _open_values(model, sign, ends[best]))
-        share = np.where(sign != 0, sign * room / max(room[sign != 0].max(), 1e-9), 0.0)
-        closing = np.where(closing == 0, share, closing)
-    return closing
-
-
-def _flexion_senses(model: _Model, finger: tuple[int, ...], X: np.ndarray) -> np.ndarray:
-    """(J,) +1 or -1: joints that turn (or slide) like the finger's last one, in its sense or against it; else 0."""
-    tree = model.tree
-    joints = [i for i in finger if tree.coupling[i].any()]
-    sense = np.zeros(tree.num_dofs)
-    if not joints:
-        return sense
-    last = joints[-1]
-    reference = X[last, :3, :3] @ tree.axes[last]
-    for i in reversed(joints):
-        cosine = float(reference @ X[i, :3, :3] @ tree.axes[i])
-        if tree.joint_types[i] != tree.joint_types[last] or abs(cosine) < PARALLEL:
-            continue
-        for j in np.flatnonzero(tree.coupling[i]):
-            if sense[j] == 0:
-                sense[j] = np.sign(cosine * tree.coupling[i, j])
-    return sense
-
-
-def _tip_cost(model: _Model, finger: int, q: np.ndarray) -> float:
-    """Distance of a fingertip from the palm and the other tips, metres."""
-    tips = model.tips(q)
-    others = np.delete(tips, finger, axis=0)
-    cost = float(np.linalg.norm(tips[finger] - model.palm_centre(q)))
-    return cost + (float(np.linalg.norm(others - tips[finger], axis=1).mean()) if len(others) else 0.0)
-
-
-def _open_values(model: _Model, sign: np.ndarray, closed: np.ndarray) -> np.ndarray:
-    """Zero posture where the joint is straight there; the other end of the range where zero is (nearly) closed."""
-    tree = model.tree
-    span = tree.upper - tree.lower
-    other_end = np.where(sign > 0, tree.lower, tree.upper)
-    slides = _slides(tree)
-    return np.where((np.abs(closed - model.q0) < 0.3 * span) | slides, other_end, model.q0)
-
-
-def _slides(tree: KinematicTree) -> np.ndarray:
-    return ((tree.joint_types == PRISMATIC)[:, None] & (tree.coupling != 0)).any(axis=0)
-
-
-def _open_and_closed(model: _Model, closing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    tree = model.tree
-    closed = np.where(closing > 0, tree.upper, np.where(closing < 0, tree.lower, model.q0))
-    opened = np.where(closing != 0, _open_values(model, closing, closed), model.q0)
-    return opened, closed
 
 
 # -- palm, jaw, thumb ----------------------------------------------------------
 
 
-def _palm_normal(model: _Model, q_open: np.ndarray, q_closed: np.ndarray) -> np.ndarray:
+def _palm_normal(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -> np.ndarray:
     """Axis of the palm link that best points to where the fingertips go when the hand half closes."""
     q_half = q_open + HALF_CLOSED * (q_closed - q_open)
     before, after = model.tips(q_open), model.tips(q_half)
     centre = model.palm_centre(q_half)
-    outwards = _unit(after.mean(axis=0) - centre)
+    outwards = unit(after.mean(axis=0) - centre)
     motion = after - before
     inwards = motion.mean(axis=0) / max(float(np.linalg.norm(motion, axis=1).mean()), 1e-9)
     R = model.poses(q_half)[model.palm, :3, :3]
@@ -259,26 +98,22 @@ def _palm_normal(model: _Model, q_open: np.ndarray, q_closed: np.ndarray) -> np.
     return candidates[int(np.argmax(candidates @ (outwards + inwards)))].copy()
 
 
-def _unit(v: np.ndarray) -> np.ndarray:
-    return v / max(float(np.linalg.norm(v)), 1e-12)
-
-
-def _is_jaw(model: _Model, closing: np.ndarray, q_open: np.ndarray, q_closed: np.ndarray) -> bool:
+def _is_jaw(model: MovableHand, closing: np.ndarray, q_open: np.ndarray, q_closed: np.ndarray) -> bool:
     """Two fingers that slide towards each other on one joint, whose value falls as they close."""
     tree = model.tree
-    if len(model.fingers) != 2 or tree.num_dofs != 1 or not _slides(tree)[0] or closing[0] >= 0:
+    if len(model.fingers) != 2 or tree.num_dofs != 1 or not sliding_joints(tree)[0] or closing[0] >= 0:
         return False
     motion = model.tips(q_closed) - model.tips(q_open)
-    return bool(_unit(motion[0]) @ _unit(motion[1]) < -0.95)
+    return bool(unit(motion[0]) @ unit(motion[1]) < -0.95)
 
 
-def _lateral_motion(model: _Model, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _lateral_motion(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """(F, 3) movement of each tip along the palm while the hand closes by 70 %."""
     motion = model.tips(q_open + 0.7 * (q_closed - q_open)) - model.tips(q_open)
     return motion - np.outer(motion @ normal, normal)
 
 
-def _thumb(model: _Model, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> int | None:
+def _thumb(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> int | None:
     """The finger called thumb, or of three or more the one that closes most against the others."""
     tree = model.tree
     for f, finger in enumerate(model.fingers):
@@ -288,7 +123,7 @@ def _thumb(model: _Model, q_open: np.ndarray, q_closed: np.ndarray, normal: np.n
     if len(model.fingers) < 3:
         return None
     motion = _lateral_motion(model, q_open, q_closed, normal)
-    agreement = [_unit(m) @ _unit(np.delete(motion, f, axis=0).sum(axis=0)) for f, m in enumerate(motion)]
+    agreement = [unit(m) @ unit(np.delete(motion, f, axis=0).sum(axis=0)) for f, m in enumerate(motion)]
     f = int(np.argmin(agreement))
     return f if agreement[f] < 0.5 else None
 
@@ -297,7 +132,7 @@ def _given_thumb(given: HandNotes) -> int | None:
     return next((f for f, finger in enumerate(given.fingers or ()) if finger.thumb), None)
 
 
-def _own_dofs(model: _Model, finger: int) -> list[int]:
+def _own_dofs(model: MovableHand, finger: int) -> list[int]:
     """Joints that move this finger alone, proximal first."""
     links = list(model.fingers[finger])
     others = np.setdiff1d(np.arange(model.tree.num_links), links)
@@ -306,7 +141,7 @@ def _own_dofs(model: _Model, finger: int) -> list[int]:
 
 
 def _oppose(
-    model: _Model, closing: np.ndarray, thumb: int, q_open: np.ndarray, q_closed: np.ndarray
+    model: MovableHand, closing: np.ndarray, thumb: int, q_open: np.ndarray, q_closed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Turn the thumb's non-closing joints to where its tip meets the other fingertips soonest while closing."""
     tree = model.tree
@@ -332,22 +167,24 @@ def _oppose(
     return q_open, q_closed
 
 
-def _jaw_pad(model: _Model, q_open: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Middle between the inner faces of two fingers, over the outer 20 mm of the fingers, in H."""
+def _jaw_pad(model: MovableHand, q_open: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Middle between the inner faces of two fingers, over the outer `PAD_LENGTH` of the fingers, in H."""
     tips = model.tips(q_open)
-    across = _unit(tips[1] - tips[0])
+    across = unit(tips[1] - tips[0])
     faces = []
     for f, finger in enumerate(model.fingers):
         points, normals = model.cloud_H(finger, q_open)
         inner = normals @ across * (1.0 if f == 0 else -1.0) > 0.9
         points = points[inner] if inner.any() else tips[f : f + 1]
         height = points @ normal
-        faces.append(points[height > height.max() - 0.02].mean(axis=0))
+        end = points[height > height.max() - PAD_LENGTH]
+        middle = (end.min(axis=0) + end.max(axis=0)) / 2
+        faces.append(middle + (height.max() - PAD_LENGTH / 2 - middle @ normal) * normal)
     return (faces[0] + faces[1]) / 2
 
 
 def _palm(
-    model: _Model, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray, pad: np.ndarray | None
+    model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray, pad: np.ndarray | None
 ) -> np.ndarray:
     """X_HP: on the palm's surface under the pads (jaws) or at the palm's middle; x is the closing direction."""
     points, _ = model.cloud_H(model.palm_links, q_open)
@@ -377,10 +214,10 @@ def couple_jaw(
     Returns:
         the tree (changed or not), and one sentence if it was changed.
     """
-    if tree.num_dofs != 2 or not _slides(tree).all() or given.is_jaw is False or len(given.joints) > 1:
+    if tree.num_dofs != 2 or not sliding_joints(tree).all() or given.is_jaw is False or len(given.joints) > 1:
         return tree, ()
-    model = _model(name, tree, parts, given)
-    closing = _closing(model)
+    model = movable_hand(name, tree, parts, given)
+    closing = closing_shares(model)
     if len(model.fingers) != 2 or not closing.all():
         return tree, ()
     opening = -np.sign(closing)
@@ -414,7 +251,7 @@ def _finger_notes(tree: KinematicTree, fingers: Sequence[Sequence[int]], thumb: 
 
 
 def _joint_notes(
-    model: _Model,
+    model: MovableHand,
     closing: np.ndarray,
     q_open: np.ndarray,
     q_closed: np.ndarray,
@@ -439,7 +276,7 @@ def _joint_notes(
 
 
 def _sideways_range(
-    model: _Model, j: int, q_open: np.ndarray, normal: np.ndarray, of_thumb: bool
+    model: MovableHand, j: int, q_open: np.ndarray, normal: np.ndarray, of_thumb: bool
 ) -> tuple[float, float]:
     """Start values of a joint that does not close: wide spreads are free, others stay near the open posture."""
     tree = model.tree

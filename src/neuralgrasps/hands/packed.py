@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike, DTypeLike
 
 from neuralgrasps.hands.chains import rigid_bodies
 from neuralgrasps.hands.hand import Hand
@@ -120,7 +121,7 @@ def _pack(hand: Hand, surface: HandSurface) -> PackedHand:
     )
 
 
-def _as(values, dtype=np.float64) -> np.ndarray:  # type: ignore[no-untyped-def]
+def _as(values: ArrayLike, dtype: DTypeLike = np.float64) -> np.ndarray:
     return np.array(values, dtype=dtype, order="C")
 
 

@@ -12,7 +12,7 @@ from numba import njit
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.hands.chains import rigid_bodies
-from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.hand import ConvexPart, Hand
 from neuralgrasps.hands.parts import part_distances, part_mesh, sample_part
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.tree import FIXED, KinematicTree
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _POOL_PER_CELL = 16  # candidate points per spacing^2 of area
 _COVER = 0.88  # covering radius / spacing that makes the mean nearest-neighbour distance equal the spacing
-_SKIN = 1e-6  # a point this deep in another part is inside it, metres
+_SKIN = 1e-5  # metres; a point whose outside is another part, this far out, is covered by it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,8 +61,10 @@ def sample_hand_surface(hand: Hand, *, spacing: float) -> HandSurface:
     for body in np.unique(bodies):
         own = [p for p in hand.parts if bodies[p.link] == body]
         if own:
-            p, n, link = _body_surface(hand, own, X_BL, spacing)
-            points.append(p), normals.append(n), links.append(link)
+            p, n, link = _body_surface(own, X_BL, spacing)
+            points.append(p)
+            normals.append(n)
+            links.append(link)
     link = np.concatenate(links)
     order = np.argsort(link, kind="stable")
     return HandSurface(
@@ -81,19 +83,24 @@ def _poses_in_body(tree: KinematicTree) -> np.ndarray:
     return X
 
 
-def _body_surface(hand: Hand, parts: list, X_BL: np.ndarray, spacing: float):  # type: ignore[no-untyped-def]
+def _body_surface(
+    parts: list[ConvexPart], X_BL: np.ndarray, spacing: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Even points of one rigid body: (K, 3), (K, 3) in link frames and (K,) links."""
     pool_B, points, normals, links = [], [], [], []
     for part in parts:
         p, n = sample_part(part, _POOL_PER_CELL / spacing**2)
         X = X_BL[part.link]
         p_B = p @ X[:3, :3].T + X[:3, 3]
+        outside_B = p_B + _SKIN * (n @ X[:3, :3].T)
         hidden = np.zeros(len(p), bool)
         for other in parts:
             if other is not part:
                 Y = X_BL[other.link]
-                hidden |= part_distances(other, (p_B - Y[:3, 3]) @ Y[:3, :3]) < -_SKIN
-        pool_B.append(p_B[~hidden]), points.append(p[~hidden]), normals.append(n[~hidden])
+                hidden |= part_distances(other, (outside_B - Y[:3, 3]) @ Y[:3, :3]) < 0.0
+        pool_B.append(p_B[~hidden])
+        points.append(p[~hidden])
+        normals.append(n[~hidden])
         links.append(np.full(int((~hidden).sum()), part.link))
     everything = np.ascontiguousarray(np.concatenate(pool_B).T)
     chosen = _cover(everything[0], everything[1], everything[2], _COVER * spacing)
