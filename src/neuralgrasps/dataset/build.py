@@ -1,0 +1,231 @@
+"""Build a grasp dataset from grasp sets: resumable, and the same bytes for any number of workers. Torch-free."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import save
+
+import neuralgrasps
+from neuralgrasps.dataset.samples import Normalisation, normalisation_of
+from neuralgrasps.dataset.schema import (
+    SCHEMA_VERSION,
+    DatasetConfig,
+    HandEntry,
+    Manifest,
+    ObjectEntry,
+    ShardEntry,
+    check_name,
+    sha256_of_file,
+    write_atomically,
+    write_manifest,
+)
+from neuralgrasps.dataset.shards import ShardFiles, ShardTask, build_shard, fingerprint_of, write_grasps
+from neuralgrasps.dataset.splits import split_grasps
+from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.packed import pack_hand
+from neuralgrasps.objects.object_model import ObjectModel
+
+HAND_POINT_SPACING_M = 0.006  # of the packed hand; SDF samples do not depend on it
+
+Progress = Callable[[int, int, str], None]
+"""Called as progress(finished shards, all shards, name of the one just finished)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BuildResult:
+    """What a build did.
+
+    Attributes:
+        folder: the dataset; manifest: what is in it.
+        built, kept: shards computed now, and shards found complete from an earlier run.
+    """
+
+    folder: Path
+    manifest: Manifest
+    built: int
+    kept: int
+
+
+def build_dataset(
+    folder: str | Path,
+    grasp_sets: Sequence[GraspSet],
+    *,
+    hands: Mapping[str, Hand],
+    objects: Mapping[str, ObjectModel],
+    config: DatasetConfig | None = None,
+    workers: int = 1,
+    executor: Executor | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Write a dataset of SDF samples, contact maps and splits.
+
+    Each pair of hand and object is one shard, written to a temporary name and renamed. A killed build
+    leaves only whole shards; calling again with the same arguments continues it, and finishes at once when all
+    is there. The manifest is written last.
+
+    Args:
+        folder: where to write; created if missing.
+        grasp_sets: one set per pair, at least one grasp each.
+        hands, objects: by the names that the grasp sets use.
+        workers: processes (1 = this one). Results do not depend on it.
+        executor: a pool to use instead of starting one.
+        progress: told after each shard.
+    Raises:
+        InputError: no grasps, a pair twice, or a name that cannot be a file name.
+        UnknownNameError: a grasp set's hand or object is not given.
+    """
+    folder = Path(folder)
+    config = config or DatasetConfig()
+    _check_pairs(grasp_sets, hands, objects)
+    frames = {name: normalisation_of(objects[name].points_O) for name in sorted({g.object for g in grasp_sets})}
+    tasks, hand_entries = _tasks(folder, grasp_sets, hands, objects, frames, config)
+    object_entries = {name: _write_object(folder, objects[name], frames[name]) for name in frames}
+    files = _run(tasks, workers, executor, progress)
+    manifest = Manifest(
+        schema_version=SCHEMA_VERSION,
+        library_version=neuralgrasps.__version__,
+        config=config,
+        objects=object_entries,
+        hands=hand_entries,
+        shards=tuple(_entry(f, config.seed) for f in sorted(files, key=lambda f: (f.object, f.hand))),
+    )
+    write_manifest(folder, manifest)
+    built = sum(f.was_built for f in files)
+    return BuildResult(folder=folder, manifest=manifest, built=built, kept=len(files) - built)
+
+
+def _check_pairs(
+    grasp_sets: Sequence[GraspSet], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
+) -> None:
+    if not grasp_sets:
+        raise InputError("no grasp sets given; expected at least one hand and object.")
+    seen: set[tuple[str, str]] = set()
+    for grasps in grasp_sets:
+        pair = (check_name("hand", grasps.hand), check_name("object", grasps.object))
+        if pair in seen:
+            raise InputError(f"grasps of {pair[0]} on {pair[1]} are given twice; concatenate them into one set.")
+        seen.add(pair)
+        if not len(grasps):
+            raise InputError(f"the grasp set of {pair[0]} on {pair[1]} is empty; leave it out.")
+        if pair[0] not in hands:
+            raise unknown_name("hand", pair[0], hands)
+        if pair[1] not in objects:
+            raise unknown_name("object", pair[1], objects)
+        hands[pair[0]].check_q(grasps.q)
+
+
+def _tasks(
+    folder: Path,
+    grasp_sets: Sequence[GraspSet],
+    hands: Mapping[str, Hand],
+    objects: Mapping[str, ObjectModel],
+    frames: Mapping[str, Normalisation],
+    config: DatasetConfig,
+) -> tuple[list[ShardTask], dict[str, HandEntry]]:
+    names = sorted({g.hand for g in grasp_sets})
+    packed = {name: pack_hand(hands[name], spacing=HAND_POINT_SPACING_M) for name in names}
+    entries = {
+        name: HandEntry(fingerprint=fingerprint_of(packed[name]), joints=tuple(hands[name].tree.dof_names))
+        for name in names
+    }
+    tasks = [
+        ShardTask(
+            folder=folder,
+            hand=grasps.hand,
+            object=grasps.object,
+            X_OH=np.array(grasps.X_OH),
+            q=np.array(grasps.q),
+            grasps_sha256=write_grasps(folder, grasps),
+            mesh=objects[grasps.object].mesh,
+            points_O=objects[grasps.object].points_O,
+            content_hash=objects[grasps.object].content_hash,
+            packed=packed[grasps.hand],
+            fingerprint=entries[grasps.hand].fingerprint,
+            hand_index=names.index(grasps.hand),
+            normalisation=frames[grasps.object],
+            config=config,
+        )
+        for grasps in grasp_sets
+    ]
+    return tasks, entries
+
+
+def _write_object(folder: Path, model: ObjectModel, frame: Normalisation) -> ObjectEntry:
+    """Store what a reader needs of an object, so that a dataset can be read without its assets."""
+    name = f"objects/{model.name}.safetensors"
+    arrays = {
+        "points_O": np.ascontiguousarray(model.points_O, np.float64),
+        "normals_O": np.ascontiguousarray(model.normals_O, np.float64),
+        "vertices_O": np.ascontiguousarray(model.mesh.vertices, np.float64),
+        "faces": np.ascontiguousarray(model.mesh.faces, np.int32),
+    }
+    write_atomically(folder / name, save(arrays))
+    return ObjectEntry(
+        content_hash=model.content_hash,
+        offset_O=(float(frame.offset_O[0]), float(frame.offset_O[1]), float(frame.offset_O[2])),
+        scale_m=frame.scale_m,
+        contact_points=len(model.points_O),
+        file=name,
+        sha256=sha256_of_file(folder / name),
+    )
+
+
+def limit_threads() -> None:
+    """Pool initialiser: one thread per worker, for the libraries that would start one per core."""
+    for name in ("IGL_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def _run(
+    tasks: Sequence[ShardTask], workers: int, executor: Executor | None, progress: Progress | None
+) -> list[ShardFiles]:
+    # The largest shards first, so that no worker ends with one while the others wait.
+    order = sorted(tasks, key=lambda t: len(t.X_OH) * (8 + len(t.packed.part_kind)), reverse=True)
+    if executor is not None:
+        return _collect(_pooled(executor, order), len(order), progress)
+    if workers <= 1 or len(order) == 1:
+        return _collect((build_shard(task) for task in order), len(order), progress)
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(min(workers, len(order)), mp_context=context, initializer=limit_threads)
+    try:
+        return _collect(_pooled(pool, order), len(order), progress)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _pooled(executor: Executor, tasks: Sequence[ShardTask]) -> Iterable[ShardFiles]:
+    futures = [executor.submit(build_shard, task) for task in tasks]
+    return (future.result() for future in as_completed(futures))
+
+
+def _collect(results: Iterable[ShardFiles], total: int, progress: Progress | None) -> list[ShardFiles]:
+    files: list[ShardFiles] = []
+    for done in results:
+        files.append(done)
+        if progress is not None:
+            progress(len(files), total, f"{done.hand} on {done.object}")
+    return files
+
+
+def _entry(files: ShardFiles, seed: int) -> ShardEntry:
+    split = split_grasps(files.scenes, hand=files.hand, object_name=files.object, seed=seed)
+    return ShardEntry(
+        hand=files.hand,
+        object=files.object,
+        scenes=files.scenes,
+        key=files.key,
+        grasps_file=files.grasps_file,
+        grasps_sha256=files.grasps_sha256,
+        samples_file=files.samples_file,
+        samples_sha256=files.samples_sha256,
+        split=split.entry(),
+    )

@@ -1,0 +1,170 @@
+"""What a grasp dataset on disk is made of: its configuration and its manifest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from neuralgrasps.errors import DataFormatError, InputError
+
+SCHEMA_VERSION = 1
+MANIFEST_NAME = "manifest.json"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DatasetConfig:
+    """How scenes become SDF samples and contact maps.
+
+    Lengths without a unit are in the object's normalised units (see `samples.Normalisation`).
+
+    Attributes:
+        seed: root of every random number in the dataset.
+        queries_per_scene: M; the first half is drawn around the object, the second around the hand. Even.
+        surface_share: part of the queries that lie near a surface; the rest fills the unit ball.
+        noise_wide, noise_narrow: standard deviations of the surface noise, half the points each.
+        contact_decay: decay length of the contact map.
+        store_samples: write the SDF samples; otherwise readers recompute the same arrays on demand.
+
+    Source:
+        Khargonkar et al. 2022, Sec. 4 and its published code (contact decay in normalised units).
+    """
+
+    seed: int = 0
+    queries_per_scene: int = 40_000
+    surface_share: float = 0.945
+    noise_wide: float = 0.0025
+    noise_narrow: float = 0.00025
+    contact_decay: float = 0.05
+    store_samples: bool = True
+
+    def __post_init__(self) -> None:
+        if self.queries_per_scene < 2 or self.queries_per_scene % 2:
+            raise InputError(f"queries_per_scene is {self.queries_per_scene}; expected an even number of at least 2.")
+        if not 0.0 <= self.surface_share <= 1.0:
+            raise InputError(f"surface_share is {self.surface_share}; expected a share between 0 and 1.")
+        for name in ("noise_wide", "noise_narrow", "contact_decay"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"{name} is {getattr(self, name)}; expected a positive length in normalised units.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectEntry:
+    """One object of the dataset: the hash of its mesh, its frame of normalisation, and its file."""
+
+    content_hash: str
+    offset_O: tuple[float, float, float]
+    scale_m: float
+    contact_points: int
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandEntry:
+    """One hand of the dataset: a fingerprint of its kinematics and shapes, and its joint names."""
+
+    fingerprint: str
+    joints: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SplitEntry:
+    """Grasp indices of one hand and object by their use."""
+
+    train: tuple[int, ...]
+    test: tuple[int, ...]
+    spare: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShardEntry:
+    """The files of one hand and object, relative to the dataset folder.
+
+    `key` is a hash of everything the shard was computed from; a rerun with the same key keeps the files.
+    """
+
+    hand: str
+    object: str
+    scenes: int
+    key: str
+    grasps_file: str
+    grasps_sha256: str
+    samples_file: str
+    samples_sha256: str
+    split: SplitEntry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """Everything needed to read, check and rebuild a dataset."""
+
+    schema_version: int
+    library_version: str
+    config: DatasetConfig
+    objects: Mapping[str, ObjectEntry] = field(default_factory=dict)
+    hands: Mapping[str, HandEntry] = field(default_factory=dict)
+    shards: tuple[ShardEntry, ...] = ()
+
+
+def check_name(kind: str, name: str) -> str:
+    """`name`, if it can be part of a file name; `InputError` otherwise."""
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"{kind} name '{name}' cannot be used as a file name; use letters, digits, '.', '_' and '-' only."
+        )
+    return name
+
+
+def sha256_of_file(path: Path) -> str:
+    """Hexadecimal sha256 of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def write_atomically(path: Path, data: bytes) -> None:
+    """Write `data` under a temporary name in the same folder, then rename: readers never see half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest of a dataset folder (atomic; keys sorted, so equal datasets give equal bytes)."""
+    text = json.dumps(asdict(manifest), indent=1, sort_keys=True)
+    write_atomically(folder / MANIFEST_NAME, (text + "\n").encode())
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read and check the manifest of a dataset folder.
+
+    Raises:
+        DataFormatError: there is none, it is not valid, or it is of another schema version.
+    """
+    path = folder / MANIFEST_NAME
+    if not path.is_file():
+        raise DataFormatError(
+            f"'{folder}' is not a grasp dataset: {MANIFEST_NAME} is missing. "
+            "Build it first (or let an interrupted build finish: a rerun continues it)."
+        )
+    try:
+        raw = json.loads(path.read_bytes())
+        version = raw.get("schema_version") if isinstance(raw, dict) else None
+        if version != SCHEMA_VERSION:
+            raise DataFormatError(
+                f"'{path}' has schema version {version}; this library reads {SCHEMA_VERSION}. Rebuild the dataset."
+            )
+        return msgspec.convert(raw, Manifest)
+    except (json.JSONDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:
+        raise DataFormatError(f"'{path}' is not a valid manifest: {error}. Rebuild the dataset.") from error

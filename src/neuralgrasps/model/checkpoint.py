@@ -1,0 +1,165 @@
+"""Save and load a fitted field and its codes: safetensors and JSON, written so that readers never see half."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_arrays
+from safetensors.numpy import save as save_arrays
+
+import neuralgrasps
+from neuralgrasps.dataset.schema import write_atomically
+from neuralgrasps.errors import DataFormatError, unknown_name
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.model.codes import CODE_SIZE, CodeBook, HandCodec, ObjectCodec
+from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField
+from neuralgrasps.model.train import TrainConfig, TrainResult
+from neuralgrasps.objects.object_model import ObjectModel
+
+VERSION = 1
+RUN_FILE, FIELD_FILE, CODES_FILE = "run.json", "field.safetensors", "codes.safetensors"
+_HAND_ARRAYS = ("lower", "upper", "mean", "basis", "X_HP")
+_OBJECT_ARRAYS = ("anchors_O", "anchor_index", "offset_O", "descriptor")
+_BOOK_ARRAYS = ("values", "hand_index", "object_index", "grasp_index", "contact_maps", "is_test")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """A fitted field read back. `config` is the training configuration as text and numbers, for the record."""
+
+    field: KinematicField
+    codebook: CodeBook
+    losses: np.ndarray
+    config: Mapping[str, object]
+
+
+def save_run(folder: str | Path, result: TrainResult) -> Path:
+    """Write a fitted field and its codes into a folder; `run.json`, with the others' sha256, is written last."""
+    folder = Path(folder)
+    field, book = result.field, result.codebook
+    arrays: dict[str, np.ndarray] = {"losses": np.asarray(result.losses, np.float64)}
+    for i, codec in enumerate(field.hand_codecs.values()):
+        arrays |= {f"hand.{i}.{name}": np.ascontiguousarray(getattr(codec, name)) for name in _HAND_ARRAYS}
+    for i, codec in enumerate(field.object_codecs.values()):
+        arrays |= {f"object.{i}.{name}": np.ascontiguousarray(getattr(codec, name)) for name in _OBJECT_ARRAYS}
+    if field.decoder is not None:
+        arrays |= {f"decoder.{k}": v.detach().cpu().contiguous().numpy() for k, v in field.decoder.state_dict().items()}
+    field_bytes = save_arrays(arrays)
+    code_bytes = save_arrays({name: np.ascontiguousarray(getattr(book, name)) for name in _BOOK_ARRAYS})
+    run = {
+        "version": VERSION,
+        "library_version": neuralgrasps.__version__,
+        "config": asdict(result.config),
+        "hands": list(field.hand_codecs),
+        "objects": list(field.object_codecs),
+        "radius_m": [codec.radius_m for codec in field.object_codecs.values()],
+        "decoder": None if field.decoder is None else {"hands": list(field.decoder.hands), **asdict(field.decoder.config)},
+        "codebook": {"hands": list(book.hands), "objects": list(book.objects)},
+        "sha256": {FIELD_FILE: hashlib.sha256(field_bytes).hexdigest(), CODES_FILE: hashlib.sha256(code_bytes).hexdigest()},
+    }
+    write_atomically(folder / FIELD_FILE, field_bytes)
+    write_atomically(folder / CODES_FILE, code_bytes)
+    write_atomically(folder / RUN_FILE, (json.dumps(run, indent=1, sort_keys=True) + "\n").encode())
+    return folder
+
+
+def load_run(folder: str | Path, *, hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]) -> Run:
+    """Read what `save_run` wrote.
+
+    Args:
+        hands, objects: the models it was fitted with, by name (more are welcome).
+    Raises:
+        DataFormatError: missing, damaged, or of another version.
+        UnknownNameError: a hand or object of the run is not given.
+    """
+    folder = Path(folder)
+    run = _read_json(folder / RUN_FILE)
+    field_arrays = _read_arrays(folder, FIELD_FILE, run)
+    code_arrays = _read_arrays(folder, CODES_FILE, run)
+    for kind, given in (("hand", hands), ("object", objects)):
+        for name in run[f"{kind}s"]:
+            if name not in given:
+                raise unknown_name(kind, name, given)
+    try:
+        field = _field_of(run, field_arrays, hands, objects)
+        book = CodeBook(
+            **{name: code_arrays[name] for name in _BOOK_ARRAYS},
+            hands=tuple(run["codebook"]["hands"]),
+            objects=tuple(run["codebook"]["objects"]),
+        )
+        return Run(field=field, codebook=book, losses=field_arrays["losses"], config=run["config"])
+    except (KeyError, RuntimeError) as error:
+        raise DataFormatError(f"'{folder}' lacks an entry: {error}. Train again.") from error
+
+
+def restored_config(run: Run) -> TrainConfig:
+    """The training configuration of a run."""
+    values = dict(run.config)
+    decoder = values.pop("decoder")
+    assert isinstance(decoder, dict)
+    return TrainConfig(**values, decoder=DecoderConfig(**decoder))  # type: ignore[arg-type]
+
+
+def _field_of(
+    run: dict, arrays: Mapping[str, np.ndarray], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
+) -> KinematicField:
+    hand_codecs = {
+        name: HandCodec(name=name, **{a: arrays[f"hand.{i}.{a}"] for a in _HAND_ARRAYS})
+        for i, name in enumerate(run["hands"])
+    }
+    object_codecs = {
+        name: ObjectCodec(
+            name=name, radius_m=run["radius_m"][i], **{a: arrays[f"object.{i}.{a}"] for a in _OBJECT_ARRAYS}
+        )
+        for i, name in enumerate(run["objects"])
+    }
+    decoder = None
+    if run["decoder"] is not None:
+        widths = {k: v for k, v in run["decoder"].items() if k != "hands"}
+        decoder = Decoder(tuple(run["decoder"]["hands"]), DecoderConfig(**widths))
+        state = {k.removeprefix("decoder."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("decoder.")}
+        decoder.load_state_dict(state)
+        decoder.eval().requires_grad_(False)
+    return KinematicField(
+        hands={name: hands[name] for name in run["hands"]},
+        objects={name: objects[name] for name in run["objects"]},
+        hand_codecs=hand_codecs,
+        object_codecs=object_codecs,
+        decoder=decoder,
+    )
+
+
+def _read_json(path: Path) -> dict:
+    if not path.is_file():
+        raise DataFormatError(f"'{path.parent}' holds no fitted field: {path.name} is missing. Train first.")
+    try:
+        run = json.loads(path.read_bytes())
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise DataFormatError(f"'{path}' is damaged: {error}. Train again.") from error
+    version = run.get("version") if isinstance(run, dict) else None
+    if version != VERSION:
+        raise DataFormatError(f"'{path}' has version {version}; this library reads {VERSION}. Train again.")
+    return run
+
+
+def _read_arrays(folder: Path, name: str, run: dict) -> dict[str, np.ndarray]:
+    path = folder / name
+    if not path.is_file():
+        raise DataFormatError(f"'{path}' is missing. Train again.")
+    data = path.read_bytes()
+    if hashlib.sha256(data).hexdigest() != run["sha256"][name]:
+        raise DataFormatError(f"'{path}' is not the file that {RUN_FILE} names (sha256 differs). Train again.")
+    try:
+        arrays = load_arrays(data)
+    except SafetensorError as error:
+        raise DataFormatError(f"'{path}' is damaged: {error}. Train again.") from error
+    if name == CODES_FILE and arrays["values"].shape[-1] != CODE_SIZE:
+        raise DataFormatError(f"'{path}' holds codes of {arrays['values'].shape[-1]} numbers; expected {CODE_SIZE}.")
+    return arrays

@@ -1,0 +1,251 @@
+"""Grasp codes: [contact closeness at 96 anchors | palm frame | posture], 128 numbers for any hand.
+
+The contact block is the metric: its L1 distance follows the L1 distance of contact maps and has
+the same meaning for all hands. The palm block is the same for all hands too: where the palm is and which way it
+faces. The posture block belongs to one hand: its normalised joints in a basis of its own.
+Codes of known grasps are computed, not fitted, and hold the grasp without loss up to 23 joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from neuralgrasps.errors import InputError, ShapeError, unknown_name
+from neuralgrasps.geometry.sampling import farthest_points
+from neuralgrasps.hands.hand import Hand
+
+ANCHORS, PALM, POSTURE = 96, 9, 23
+CODE_SIZE = ANCHORS + PALM + POSTURE
+CONTACT_BLOCK = slice(0, ANCHORS)
+PALM_BLOCK = slice(ANCHORS, ANCHORS + PALM)
+POSTURE_BLOCK = slice(ANCHORS + PALM, CODE_SIZE)
+PALM_UNIT_M = 0.1  # one unit of the palm position
+DESCRIPTOR_SIZE = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectCodec:
+    """What codes need to know of an object.
+
+    Attributes:
+        anchors_O: (96, 3) float64 points of the object's surface, metres.
+        anchor_index: (96,) int64, their place among the object's contact points.
+        offset_O: (3,) centre that palm positions are relative to, metres.
+        radius_m: decay length of the contact closeness.
+        descriptor: (16,) float64, size and shape of the object in about unit numbers (needs no training).
+    """
+
+    name: str
+    anchors_O: np.ndarray
+    anchor_index: np.ndarray
+    offset_O: np.ndarray
+    radius_m: float
+    descriptor: np.ndarray
+
+
+def object_codec(name: str, points_O: np.ndarray, *, offset_O: np.ndarray, radius_m: float) -> ObjectCodec:
+    """The codec of an object from its (P, 3) contact points, P >= 96."""
+    if points_O.ndim != 2 or points_O.shape[1] != 3 or len(points_O) < ANCHORS:
+        raise ShapeError(f"object '{name}': points_O has shape {points_O.shape}; expected (P >= {ANCHORS}, 3).")
+    start = int(np.argmax(np.linalg.norm(points_O - offset_O, axis=1)))
+    index = farthest_points(points_O, ANCHORS, start=start)
+    centred = (points_O - offset_O) / PALM_UNIT_M
+    moments = (centred.T @ centred / len(centred))[np.triu_indices(3)]
+    radii = np.quantile(np.linalg.norm(centred, axis=1), np.linspace(0.0, 1.0, 7))
+    return ObjectCodec(
+        name=name,
+        anchors_O=np.ascontiguousarray(points_O[index], np.float64),
+        anchor_index=index,
+        offset_O=np.asarray(offset_O, np.float64),
+        radius_m=float(radius_m),
+        descriptor=np.concatenate([np.ptp(centred, axis=0), moments, radii]),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandCodec:
+    """Posture basis of one hand.
+
+    A posture block is `2 (u - mean) @ basis` of the normalised joints u = (q - lower) / (upper - lower).
+
+    Attributes:
+        lower, upper: (J,) joint limits, rad or metres.
+        mean: (J,) mean normalised joints; basis: (J, 23), orthonormal rows for J <= 23 (zero columns
+            beyond J), the 23 strongest synergies otherwise.
+        X_HP: (4, 4) palm frame in the hand base.
+    """
+
+    name: str
+    lower: np.ndarray
+    upper: np.ndarray
+    mean: np.ndarray
+    basis: np.ndarray
+    X_HP: np.ndarray
+
+    @property
+    def num_joints(self) -> int:
+        return len(self.lower)
+
+    @property
+    def is_lossless(self) -> bool:
+        """Whether every posture can be recovered from its block."""
+        return self.num_joints <= POSTURE
+
+    def posture(self, q: np.ndarray) -> np.ndarray:
+        """Posture blocks (N, 23) of joints (N, J)."""
+        u = (q - self.lower) / (self.upper - self.lower)
+        return 2.0 * (u - self.mean) @ self.basis
+
+    def joints(self, posture: np.ndarray) -> np.ndarray:
+        """Joints (N, J) of posture blocks (N, 23), clamped to the limits."""
+        u = self.mean + 0.5 * posture @ self.basis.T
+        return self.lower + np.clip(u, 0.0, 1.0) * (self.upper - self.lower)
+
+
+def hand_codec(hand: Hand, postures: np.ndarray | None = None) -> HandCodec:
+    """The codec of a hand; with example postures (N, J) its basis is their principal components.
+
+    The strongest components come first, and each is signed so that a positive number closes the hand. The
+    basis is a rotation, so distances between postures do not depend on the examples (up to 23 joints).
+    """
+    lower, upper = hand.tree.lower.astype(float), hand.tree.upper.astype(float)
+    joints = hand.num_dofs
+    if postures is None or len(postures) == 0:
+        mean, components = np.full(joints, 0.5), np.eye(joints)
+    else:
+        hand.check_q(postures)
+        u = (postures - lower) / (upper - lower)
+        mean = u.mean(axis=0)
+        values, vectors = np.linalg.eigh((u - mean).T @ (u - mean) / len(u) + 1e-9 * np.diag(np.arange(joints, 0, -1)))
+        components = vectors[:, np.argsort(-values, kind="stable")]
+    components = components[:, :POSTURE]
+    lean = components.T @ np.sign(hand.closing_rate)
+    largest = components[np.abs(components).argmax(axis=0), np.arange(components.shape[1])]
+    signs = np.sign(np.where(np.abs(lean) > 1e-6, lean, largest))
+    basis = np.zeros((joints, POSTURE))
+    basis[:, : components.shape[1]] = components * signs
+    return HandCodec(name=hand.name, lower=lower, upper=upper, mean=mean, basis=basis, X_HP=np.array(hand.X_HP, float))
+
+
+def palm_block(X_OH: np.ndarray, X_HP: np.ndarray, offset_O: np.ndarray) -> np.ndarray:
+    """(N, 9): palm position relative to the object's centre in units of 0.1 m, and two columns of its rotation."""
+    X_OP = X_OH @ X_HP
+    position = (X_OP[:, :3, 3] - offset_O) / PALM_UNIT_M
+    return np.concatenate([position, X_OP[:, :3, 0], X_OP[:, :3, 1]], axis=1)
+
+
+def assemble_codes(
+    closeness: np.ndarray, X_OH: np.ndarray, q: np.ndarray, *, hand: HandCodec, obj: ObjectCodec
+) -> np.ndarray:
+    """Codes (N, 128) float32 from closeness at the anchors (N, 96), hand poses (N, 4, 4) and joints (N, J)."""
+    if closeness.shape != (len(X_OH), ANCHORS) or q.shape != (len(X_OH), hand.num_joints):
+        raise ShapeError(
+            f"closeness {closeness.shape}, X_OH {X_OH.shape}, q {q.shape}; "
+            f"expected (N, {ANCHORS}), (N, 4, 4), (N, {hand.num_joints}) for hand '{hand.name}'."
+        )
+    blocks = [closeness, palm_block(X_OH, hand.X_HP, obj.offset_O), hand.posture(q)]
+    return np.concatenate(blocks, axis=1).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CodeBook:
+    """Codes of N grasps, and whose they are.
+
+    Attributes:
+        values: (N, 128) float32.
+        hands, objects: names that the indices count in.
+        hand_index, object_index: (N,) int32.
+        grasp_index: (N,) int32, place in the grasp set of that hand and object (-1: from no set).
+        contact_maps: (N, P) float32 closeness at all contact points of the object, or (N, 0).
+        is_test: (N,) bool, grasps that training must not see.
+    """
+
+    values: np.ndarray
+    hands: tuple[str, ...]
+    objects: tuple[str, ...]
+    hand_index: np.ndarray
+    object_index: np.ndarray
+    grasp_index: np.ndarray
+    contact_maps: np.ndarray
+    is_test: np.ndarray = field(default_factory=lambda: np.zeros(0, np.bool_))
+
+    def __post_init__(self) -> None:
+        count = len(self.values)
+        if self.values.ndim != 2 or self.values.shape[1] != CODE_SIZE:
+            raise ShapeError(f"codes have shape {self.values.shape}; expected (N, {CODE_SIZE}).")
+        if self.is_test.size == 0 and count:
+            object.__setattr__(self, "is_test", np.zeros(count, np.bool_))
+        for name in ("hand_index", "object_index", "grasp_index", "contact_maps", "is_test"):
+            got = getattr(self, name).shape[:1]
+            if got != (count,):
+                raise ShapeError(f"code book: {name} has length {got}; expected {count}, one per code.")
+        for name, known in (("hand_index", self.hands), ("object_index", self.objects)):
+            index = getattr(self, name)
+            if count and (index.min() < 0 or index.max() >= len(known)):
+                raise InputError(f"code book: {name} reaches {index.max()}; expected 0 to {len(known) - 1}.")
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def contact_block(self) -> np.ndarray:
+        """(N, 96) the part of the codes in which L1 distance is grasp similarity."""
+        return self.values[:, CONTACT_BLOCK]
+
+    def __getitem__(self, index: int | slice | np.ndarray) -> CodeBook:
+        """The chosen codes, always as a CodeBook."""
+        chosen = np.array([index]) if isinstance(index, int | np.integer) else index
+        names = ("values", "hand_index", "object_index", "grasp_index", "contact_maps", "is_test")
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
+
+    def where(
+        self, *, hand: str | None = None, object_name: str | None = None, is_test: bool | None = None
+    ) -> np.ndarray:
+        """(N,) bool: codes of a hand, of an object, of the test grasps; each None matches all.
+
+        Raises:
+            UnknownNameError: the hand or object is not in the book.
+        """
+        mask = np.ones(len(self), np.bool_)
+        if hand is not None:
+            mask &= self.hand_index == _place("hand", hand, self.hands)
+        if object_name is not None:
+            mask &= self.object_index == _place("object", object_name, self.objects)
+        if is_test is not None:
+            mask &= self.is_test == is_test
+        return mask
+
+
+def _place(kind: str, name: str, known: Sequence[str]) -> int:
+    if name not in known:
+        raise unknown_name(kind, name, known)
+    return list(known).index(name)
+
+
+def join_codes(books: Sequence[CodeBook]) -> CodeBook:
+    """One book of all codes, in order; names are merged, sorted."""
+    if not books:
+        raise InputError("join_codes got no code books.")
+    hands = tuple(sorted({name for book in books for name in book.hands}))
+    objects = tuple(sorted({name for book in books for name in book.objects}))
+    widths = {book.contact_maps.shape[1] for book in books}
+    if len(widths) > 1:
+        raise ShapeError(f"code books hold contact maps of {sorted(widths)} points; expected one size.")
+
+    def renumbered(index: np.ndarray, old: Sequence[str], new: Sequence[str]) -> np.ndarray:
+        table: Mapping[str, int] = {name: i for i, name in enumerate(new)}
+        return np.array([table[name] for name in old], np.int32)[index]
+
+    return CodeBook(
+        values=np.concatenate([b.values for b in books]),
+        hands=hands,
+        objects=objects,
+        hand_index=np.concatenate([renumbered(b.hand_index, b.hands, hands) for b in books]),
+        object_index=np.concatenate([renumbered(b.object_index, b.objects, objects) for b in books]),
+        grasp_index=np.concatenate([b.grasp_index for b in books]),
+        contact_maps=np.concatenate([b.contact_maps for b in books]),
+        is_test=np.concatenate([b.is_test for b in books]),
+    )

@@ -1,0 +1,253 @@
+"""Codes of grasps that are only observed: hand points on an object, no joints, no labels.
+
+Two levels. `encode_points` gives the contact block alone, straight from the points: enough to
+retrieve. `infer_grasps` also finds the hand's pose and joints by fitting its exact distance to the points
+from many starts, and recomputes the contact block from the fitted hand: the estimate with the highest posterior
+under a robust point noise and a weak prior on posture. Encoding known joints (`KinematicField.encode`) is not inference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from neuralgrasps.dataset.hand_surface import packed_link_poses
+from neuralgrasps.dataset.samples import closeness, hand_distances
+from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.geometry.sampling import farthest_points
+from neuralgrasps.hands.packed import PackedHand
+from neuralgrasps.model.codes import CODE_SIZE, CONTACT_BLOCK, CodeBook, join_codes
+from neuralgrasps.model.hand_fit import fit_cost, fit_hand, score_starts
+from neuralgrasps.model.kinematic_field import KinematicField
+from neuralgrasps.seeds import child_rng
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InferConfig:
+    """Effort and noise model of `infer_grasps`.
+
+    Attributes:
+        points: observed points used in the last stage (an even subset when there are more).
+        coarse_points: used while choosing among the starts.
+        starts: grasps of the gallery to start from; finalists: of these, how many are refined to the end.
+        coarse_iterations, fine_iterations: least-squares steps.
+        width_m: distances beyond it count linearly, in the last stage (ten times as much in the first).
+        coverage: weight of "every part of the hand has an observed point near it" in the first stage; set it to 0
+            for a partial view.
+        posture_prior_m: how far (rms metres of the points) one full joint range off the start counts.
+        converged_m: largest median point distance that counts as a fit.
+    """
+
+    points: int = 512
+    coarse_points: int = 192
+    starts: int = 16
+    finalists: int = 4
+    coarse_iterations: int = 12
+    fine_iterations: int = 40
+    width_m: float = 0.003
+    coverage: float = 1.0
+    posture_prior_m: float = 0.001
+    converged_m: float = 0.002
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("points", "coarse_points", "starts", "finalists"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; expected at least 1.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InferResult:
+    """Grasps inferred from points, one per scene.
+
+    Attributes:
+        codes: their codes; contact maps are those of the fitted hands.
+        X_OH: (N, 4, 4) hand base in the object frame; q: (N, J) joints.
+        residual_m: (N,) median |distance| of the observed points to the fitted hand, metres.
+        converged: (N,) bool, the solver stopped by itself and the residual is within `InferConfig.converged_m`.
+        seed: of the start perturbations.
+    """
+
+    codes: CodeBook
+    X_OH: np.ndarray
+    q: np.ndarray
+    residual_m: np.ndarray
+    converged: np.ndarray
+    seed: int
+
+
+def encode_points(
+    hand_points_O: Sequence[np.ndarray], field: KinematicField, *, object_name: str, hand: str = "unknown"
+) -> CodeBook:
+    """Codes with the contact block and map only, straight from observed hand points; the rest is nan.
+
+    Good for retrieval across hands; no hand model is needed. Closeness is to the nearest observed
+    point, so it is too low by up to the point spacing, and blind to what was not seen.
+
+    Args:
+        hand_points_O: N clouds (M, 3), object frame, metres.
+        hand: name to put into the book.
+    """
+    points, codec = field.object(object_name).points_O, field.object_codecs[object_name]
+    maps = np.stack(
+        [closeness(KDTree(_checked(cloud, i)).query(points)[0], codec.radius_m) for i, cloud in enumerate(hand_points_O)]
+    )
+    values = np.full((len(maps), CODE_SIZE), np.nan, np.float32)
+    values[:, CONTACT_BLOCK] = maps[:, codec.anchor_index]
+    zeros = np.zeros(len(maps), np.int32)
+    return CodeBook(
+        values=values,
+        hands=(hand,),
+        objects=(object_name,),
+        hand_index=zeros,
+        object_index=zeros,
+        grasp_index=zeros - 1,
+        contact_maps=maps,
+    )
+
+
+def infer_grasps(
+    hand_points_O: Sequence[np.ndarray],
+    field: KinematicField,
+    gallery: CodeBook,
+    *,
+    hand: str,
+    object_name: str,
+    config: InferConfig | None = None,
+) -> InferResult:
+    """Pose, joints and codes of a known hand from points on its surface.
+
+    Args:
+        hand_points_O: N clouds (M, 3) of one hand on one object, object frame, metres; noise and
+            outliers are expected.
+        gallery: known codes to start from (of that hand; grasps on other objects serve too, after those on this one).
+    Raises:
+        InputError: the gallery holds no grasp of that hand, or a cloud has fewer than 10 points.
+    """
+    config = config or InferConfig()
+    packed = field.packed[field.hand(hand).name]
+    starts = gallery_grasps(field, gallery, hand=hand, object_name=object_name)
+    fits = [
+        _fit_cloud(packed, _checked(cloud, i), starts, config, child_rng(config.seed, "infer", i))
+        for i, cloud in enumerate(hand_points_O)
+    ]
+    X_OH, q = np.stack([f.X_OH for f in fits]), np.stack([f.q for f in fits])
+    residual = np.array([f.residual_m for f in fits])
+    return InferResult(
+        codes=field.encode(X_OH, q, hand=hand, object_name=object_name),
+        X_OH=X_OH,
+        q=q,
+        residual_m=residual,
+        converged=np.array([f.stopped for f in fits]) & (residual <= config.converged_m),
+        seed=config.seed,
+    )
+
+
+def infer_hand(
+    cloud_O: np.ndarray,
+    field: KinematicField,
+    gallery: CodeBook,
+    *,
+    object_name: str,
+    hands: Sequence[str] | None = None,
+    config: InferConfig | None = None,
+) -> tuple[str, InferResult]:
+    """Which of the hands fits a cloud (M, 3) best, and its grasp; every hand of the gallery is tried by default."""
+    names = tuple(hands or gallery.hands)
+    results = [
+        infer_grasps([cloud_O], field, gallery, hand=name, object_name=object_name, config=config) for name in names
+    ]
+    best = int(np.argmin([float(r.residual_m[0]) for r in results]))
+    return names[best], results[best]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Starts:
+    """Grasps to start from: X_OH (N, 4, 4), q (N, J)."""
+
+    X_OH: np.ndarray
+    q: np.ndarray
+
+
+def gallery_grasps(field: KinematicField, gallery: CodeBook, *, hand: str, object_name: str) -> Starts:
+    """Poses and joints of the gallery's grasps by a hand: on this object, or on all when it has none there."""
+    rows = np.flatnonzero(gallery.where(hand=hand))
+    here = [r for r in rows if gallery.objects[gallery.object_index[r]] == object_name]
+    if not len(rows):
+        raise InputError(f"the gallery holds no grasp of hand '{hand}'; add some to start from.")
+    chosen = here or list(rows)
+    codes = torch.as_tensor(gallery.values[chosen].astype(np.float64))
+    grasps = field.decode(codes, hand=hand, object_name=object_name)
+    return Starts(X_OH=grasps.X_OH.numpy(), q=grasps.q.numpy())
+
+
+def _checked(cloud: np.ndarray, index: int) -> np.ndarray:
+    cloud = np.asarray(cloud, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise ShapeError(f"cloud {index} has shape {cloud.shape}; expected (M, 3).")
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    if len(cloud) < 10:
+        raise InputError(f"cloud {index} has {len(cloud)} finite points; expected at least 10.")
+    return cloud
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    X_OH: np.ndarray
+    q: np.ndarray
+    residual_m: float
+    stopped: bool
+
+
+def _fit_cloud(
+    packed: PackedHand, cloud_O: np.ndarray, starts: Starts, config: InferConfig, rng: np.random.Generator
+) -> _Fit:
+    """Score all starts, improve the best roughly, refine the best of those to the end, keep the best fit."""
+    cloud = rng.permutation(cloud_O)
+    fine, coarse = cloud[: config.points], cloud[: config.coarse_points]
+    material = material_points(packed)
+    prior = config.posture_prior_m**2
+    wide = 10.0 * config.width_m
+    if config.coverage > 0.0:
+        starts = _with_centred(packed, starts, material, cloud)
+    score = np.empty(len(starts.q))
+    score_starts(packed, coarse, material, starts.X_OH, starts.q, wide, config.coverage, score)
+    tried: list[tuple[float, np.ndarray, np.ndarray]] = []
+    for i in np.argsort(score, kind="stable")[: config.starts]:
+        X, q = starts.X_OH[i].copy(), starts.q[i].copy()
+        cost, _, _ = fit_hand(
+            packed, coarse, material, X, q, q.copy(), config.coarse_iterations, wide, config.coverage, prior
+        )
+        tried.append((cost, X, q))
+    tried.sort(key=lambda t: t[0])
+    best: tuple[float, np.ndarray, np.ndarray, bool] | None = None
+    for _, X, q in tried[: config.finalists]:
+        _, _, stopped = fit_hand(packed, fine, material, X, q, q.copy(), config.fine_iterations, config.width_m, 0.0, prior)
+        cost = fit_cost(packed, fine, material, X, q, q, config.width_m, config.coverage, 0.0)
+        if best is None or cost < best[0]:
+            best = (cost, X, q, stopped)
+    assert best is not None
+    _, X, q, stopped = best
+    distance = np.abs(hand_distances(packed, X[None], q[None], fine)[0])
+    return _Fit(X_OH=X, q=q, residual_m=float(np.median(distance)), stopped=bool(stopped))
+
+
+def material_points(packed: PackedHand, count: int = 96) -> np.ndarray:
+    """(count,) indices of well spread surface points of a hand."""
+    X_HL = packed_link_poses(packed, 0.5 * (packed.lower + packed.upper))
+    points_H = np.einsum("kij,kj->ki", X_HL[packed.point_link, :3, :3], packed.point_L) + X_HL[packed.point_link, :3, 3]
+    return farthest_points(points_H, min(count, len(points_H)))
+
+
+def _with_centred(packed: PackedHand, starts: Starts, material: np.ndarray, cloud_O: np.ndarray) -> Starts:
+    """The starts, and copies of them moved so that the hand's middle is the cloud's."""
+    X_centred = starts.X_OH.copy()
+    for i, (X, q) in enumerate(zip(starts.X_OH, starts.q, strict=True)):
+        X_OL = (X @ packed_link_poses(packed, q))[packed.point_link[material]]
+        points_O = np.einsum("kij,kj->ki", X_OL[:, :3, :3], packed.point_L[material]) + X_OL[:, :3, 3]
+        X_centred[i, :3, 3] += cloud_O.mean(axis=0) - points_O.mean(axis=0)
+    return Starts(X_OH=np.concatenate([starts.X_OH, X_centred]), q=np.concatenate([starts.q, starts.q]))
