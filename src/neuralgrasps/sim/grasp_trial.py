@@ -163,7 +163,6 @@ class GraspTrial:
         mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(X_HO[:3, :3]).ravel())
         data.qpos[at + 3 : at + 7] = quaternion
         data.qpos[self._joint_qpos] = self.hand.tree.joint_positions(np.asarray(q, np.float64))[self._links]
-        data.ctrl[:] = self._control(q)
         mujoco.mj_forward(model, data)
         self._start_centre = data.xipos[self._body].copy()
         self._start_rotation = data.xmat[self._body].reshape(3, 3).copy()
