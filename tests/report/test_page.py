@@ -131,9 +131,12 @@ def test_an_empty_report_is_still_a_page():
 
 def test_synthesis_totals_weigh_by_trials():
     row = SynthesisRow(hand="fetch", object="a", candidates=10, valid=5, validated=10, success_share=1.0, cpu_s=1.0)
-    other = replace(row, object="b", validated=30, success_share=0.5, penetration_p95_mm=0.7, cpu_s=None)
-    total = synthesis_table((row, other)).rows[-1]
-    assert total == ("all", "", 20, 10, 40, "62.5 %", 0.7, None, 1.0)
+    other = replace(row, object="b", validated=15, success_share=0.5, penetration_p95_mm=0.7, cpu_s=None)
+    untried = replace(row, object="c", validated=0, success_share=None, cpu_s=None)
+    none_held = replace(row, object="d", validated=0, tried=10, success_share=0.0, cpu_s=None)
+    rows = synthesis_table((row, other, untried, none_held)).rows
+    assert [r[4] for r in rows] == [10, 30, None, 10, 50]
+    assert rows[-1] == ("all", "", 40, 20, 50, 25, "50.0 %", 0.7, None, 1.0)
 
 
 def test_gap_is_best_minus_found_and_unknown_objects_have_no_paper_figures():

@@ -59,7 +59,7 @@ def histogram_svg(values: Mapping[str, np.ndarray], unit: str, *, limit: float |
     low, high = ticks[0], ticks[-1]
     edges = np.linspace(low, high, 31)
     counts = {name: np.histogram(v, edges)[0] for name, v in finite.items()}
-    tallest = max(int(sum(counts.values()).max()), 1)
+    tallest = max(int(np.sum(list(counts.values()), axis=0).max()), 1)
     x_of = lambda v: left + (v - low) / (high - low) * (width - left - right)  # noqa: E731
     y_of = lambda n: height - bottom - n / tallest * (height - top - bottom)  # noqa: E731
     parts = [_grid_line(left, width - right, y_of(n), str(n)) for n in _count_ticks(tallest)]

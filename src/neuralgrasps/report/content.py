@@ -140,13 +140,20 @@ class PoseFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SynthesisRow:
-    """One hand x object of the synthesis: counts, quality of the kept grasps, and cost."""
+    """One hand x object of the synthesis: counts, quality of the kept grasps, and cost.
+
+    Attributes:
+        candidates: start poses. valid: of them, grasps that passed every geometric test.
+        tried: grasps put to the physics trial (from `validated` and `success_share` when None). validated: held.
+        success_share: validated / tried, 0..1.
+    """
 
     hand: str
     object: str
     candidates: int
     valid: int
     validated: int
+    tried: int | None = None
     success_share: float | None = None
     penetration_p95_mm: float | None = None
     epsilon_median: float | None = None

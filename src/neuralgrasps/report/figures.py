@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.camera import Intrinsics
@@ -155,7 +155,7 @@ def render_depth(depth: np.ndarray) -> np.ndarray:
     return np.round(np.where(valid[..., None], colour, 0.84) * 255).astype(np.uint8)
 
 
-def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, segments: int = 24) -> list[Surface]:
+def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, segments: int = 20) -> list[Surface]:
     """The hand's links in the object frame: fingers in the hand's colour, palm and other links in graphite."""
     X_OH, q = np.asarray(X_OH, np.float64), np.asarray(q, np.float64)
     X_OH = X_OH[0] if X_OH.shape == (1, 4, 4) else X_OH
@@ -207,7 +207,7 @@ def values_at_vertices(mesh: Mesh, points_O: np.ndarray, values: np.ndarray) -> 
     if values.shape != (len(points_O),):
         raise ShapeError(f"values has shape {values.shape}; expected ({len(points_O)},), one per point.")
     count = min(8, len(points_O))
-    distance, index = cKDTree(points_O).query(mesh.vertices, k=count)
+    distance, index = KDTree(points_O).query(mesh.vertices, k=count)
     distance, index = distance.reshape(-1, count), index.reshape(-1, count)
     scale = np.median(distance[:, -1]) * 0.6 + 1e-9
     weight = np.exp(-((distance - distance[:, :1]) * (distance + distance[:, :1])) / scale**2)
@@ -216,8 +216,8 @@ def values_at_vertices(mesh: Mesh, points_O: np.ndarray, values: np.ndarray) -> 
 
 def fine_mesh(mesh: Mesh, *, longest_edge_m: float = 0.005) -> Mesh:
     """The same surface with no edge longer than `longest_edge_m`, so that values at its vertices can be seen."""
-    vertices, faces = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, longest_edge_m, max_iter=12)
-    return Mesh(vertices, faces)
+    fine = trimesh.remesh.subdivide_to_size(mesh.vertices, mesh.faces, longest_edge_m, max_iter=12)
+    return Mesh(fine[0], np.asarray(fine[1], np.int32))
 
 
 def save_picture(path: str | Path, image: np.ndarray, *, background: str | None = None) -> None:
@@ -251,6 +251,6 @@ def _headlight(mesh: Mesh, X_CM: np.ndarray, intrinsics: Intrinsics) -> tuple[np
 
 def _outline(canvas: np.ndarray, mask: np.ndarray, colour: np.ndarray, width: float) -> np.ndarray:
     """`canvas` with a line of `width` pixels just outside `mask`."""
-    distance = distance_transform_edt(~mask)
+    distance = np.asarray(distance_transform_edt(~mask))
     line = (distance > 0) & (distance <= width)
     return np.where(line[..., None], colour, canvas)

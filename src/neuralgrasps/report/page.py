@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.report.content import DemoReport
+from neuralgrasps.report.content import DemoReport, KeyFigure
 from neuralgrasps.report.page_style import page_css, page_script
 from neuralgrasps.report.sections import (
     PictureEncoder,
@@ -37,22 +37,24 @@ _QUALITIES = (90, 80, 65, 45)
 
 # What each section shows and means; `DemoReport.section_texts` can put other words in their place.
 _TEXTS = {
-    "hands": "Every hand is a kinematic tree with convex solids for links. The colours below stand for the hands "
-    "everywhere on this page.",
-    "grasps": "Each picture is one synthesised grasp, drawn exactly as computed. Held means that the hand kept the "
-    "object in a physics simulation with gravity and friction, pushed from every side. ε is the largest "
-    "disturbance the contacts resist in any direction; overlap is how deep hand and object cut into each "
-    "other; slip is how far the object moved in the hand.",
-    "contacts": "How close the hand comes to every point of the object: 1 where it touches, falling off exponentially"
-    " with distance. These maps, not the joints, say which grasps of different hands are alike.",
-    "retrieval": "The framed grasp is the query. Beside it, the grasp of each hand whose latent code is nearest, and "
-    "last the farthest of all. Similarity compares the true contact maps, which the search did not see.",
+    "hands": "Every hand is a kinematic tree with convex solids for links. The colours below stand for the hands"
+    " everywhere on this page.",
+    "grasps": "Each picture is one synthesised grasp, drawn exactly as computed. Held means that the hand kept "
+    "the object throughout the physics trial. ε is the largest disturbance the contacts resist in any "
+    "direction; overlap is how deep hand and object cut into each other; slip is how far the object "
+    "moved in the hand.",
+    "contacts": "How close the hand comes to every point of the object: 1 where it touches, falling off "
+    "exponentially with distance. These maps, not the joints, say which grasps of different hands are "
+    "alike.",
+    "retrieval": "The framed grasp is the query. Beside it, the grasp of each hand whose latent code is nearest, and"
+    " last the farthest of all. Similarity is that of the contact maps themselves: 1 is the same, 0 the"
+    " most different pair.",
     "transfer": "A grasp of one hand, carried to another through the shared latent space.",
     "latent": "Every mark is one grasp, placed by t-SNE so that near codes are near. Where the colours mix, "
     "different hands hold the object in the same way; distances between far groups mean nothing.",
-    "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: the "
-    "object tinted and outlined; a white outline is the true pose. Errors are measured against it, up to the object's "
-    "own symmetries.",
+    "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: "
+    "the object tinted and outlined; a white outline is the true pose. Errors are measured against it, "
+    "up to the object's own symmetries.",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
     "notes": "",
@@ -65,6 +67,7 @@ def report_html(report: DemoReport, *, max_bytes: int = MAX_BYTES) -> str:
     Raises:
         InputError: the page is over `max_bytes` at the lowest picture quality.
     """
+    size = 0
     for quality in _QUALITIES:
         html = _page(report, PictureEncoder(quality))
         size = len(html.encode("utf-8"))
@@ -195,7 +198,7 @@ def _hero(report: DemoReport) -> str:
     )
 
 
-def _keys(figures: Sequence) -> str:
+def _keys(figures: Sequence[KeyFigure]) -> str:
     if not figures:
         return ""
     tiles = "".join(

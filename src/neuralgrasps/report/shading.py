@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from neuralgrasps.geometry.camera import Intrinsics, pixel_rays
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.raster import rasterise
+from neuralgrasps.report.light_kernels import fill_ground, shade_surfaces
 from neuralgrasps.report.palette import linear_to_srgb
 from neuralgrasps.report.shadow_maps import dome_directions, shadow_maps
 from neuralgrasps.report.smooth_normals import corner_normals
@@ -59,7 +59,9 @@ class Style:
     key_elevation_rad: float = 0.95
 
 
-def shade(surfaces: Sequence[Surface], X_WC: np.ndarray, intrinsics: Intrinsics, *, style: Style | None = None):
+def shade(
+    surfaces: Sequence[Surface], X_WC: np.ndarray, intrinsics: Intrinsics, *, style: Style | None = None
+) -> np.ndarray:
     """Picture of `surfaces`.
 
     Args:
@@ -82,8 +84,8 @@ def shade(surfaces: Sequence[Surface], X_WC: np.ndarray, intrinsics: Intrinsics,
     key = (key_direction.astype(np.float32), *_maps(vertices, faces, key_direction[None], **sphere, size=_KEY_MAP))
     colour = np.zeros((intrinsics.height, intrinsics.width, 3), np.float32)
     coverage = np.zeros((intrinsics.height, intrinsics.width), np.float32)
-    _shade_surfaces(
-        (image.depth, image.face_index, image.barycentric),
+    shade_surfaces(
+        (image.face_index, image.barycentric),
         (vertices[faces].astype(np.float32), normals, colours[faces].astype(np.float32), gloss),
         (X_WC[:3, 3].astype(np.float32), centre.astype(np.float32)),
         sky,
@@ -107,7 +109,7 @@ def _ground_shadow(height: float, radius: float, sky, key) -> np.ndarray:
     dark_sky = np.zeros((_GROUND_CELLS, _GROUND_CELLS), np.float32)
     dark_key = np.zeros_like(dark_sky)
     reach = _GROUND_REACH * radius
-    _fill_ground(np.float32(height), np.float32(reach), sky, key, dark_sky, dark_key)
+    fill_ground(np.float32(height), np.float32(reach), sky, key, dark_sky, dark_key)
     cell = 2 * reach / _GROUND_CELLS
     # The far shadows of single sky lights would show as a star: blur more, the farther from the contact.
     near, far = (gaussian_filter(dark_sky, sigma / cell) for sigma in (0.006, 0.10 * radius))
@@ -129,7 +131,7 @@ def _look_up_ground(shadow, X_WC, intrinsics, *, ground, centre, radius) -> np.n
     return np.where(distance > 0, dark, 0.0) * _fade_at_border(dark.shape)
 
 
-def _fade_at_border(shape: tuple[int, int]) -> np.ndarray:
+def _fade_at_border(shape: tuple[int, ...]) -> np.ndarray:
     """(h, w) weights that fall to 0 at the picture's border, so that no shadow ends in a straight cut."""
     down, across = (np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / (0.12 * n) for n in shape)
     weight = np.clip(np.minimum(down[:, None], across[None, :]), 0, 1)
@@ -165,158 +167,3 @@ def _encode(colour: np.ndarray, coverage: np.ndarray, darkness: np.ndarray) -> n
     colour = colour * (coverage / np.maximum(alpha, 1e-6))[..., None]
     levels = np.concatenate([colour, alpha[..., None]], axis=-1)
     return np.round(np.clip(levels, 0, 1) * 255).astype(np.uint8)
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _lit(x, y, z, axes, depth, inv_texel, bias, du, dv):
-    """1 when nothing stands between the point (relative to the maps' centre) and the light, 0 in its shadow."""
-    size = depth.shape[0]
-    half = 0.5 * size
-    u = int(np.floor((axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) * inv_texel + half + du))
-    v = int(np.floor((axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) * inv_texel + half + dv))
-    if u < 0 or v < 0 or u >= size or v >= size:
-        return np.float32(1.0)
-    d = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-    # A ramp of one cell instead of a step: the cells of the map do not show on slanted surfaces.
-    return min(max(np.float32(1.0) - (d - bias - depth[v, u]) * inv_texel, np.float32(0.0)), np.float32(1.0))
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _sky_light(x, y, z, n, sample, pixel, sky):
-    """Light from this sample's share of the dome, scaled so that a free horizontal surface gets 1."""
-    directions, axes, depth, texel = sky
-    count = directions.shape[0]
-    inv_texel = np.float32(1.0) / texel
-    # Neighbouring pixels ask the maps up to two cells apart, so that no single light draws a sharp shadow.
-    angle = pixel + np.float32(2.399963) * np.float32(sample)
-    du, dv = np.float32(1.8) * np.cos(angle), np.float32(1.8) * np.sin(angle)
-    total = np.float32(0.0)
-    for i in range(sample, count, 9):
-        lx, ly, lz = directions[i, 0], directions[i, 1], directions[i, 2]
-        facing = n[0] * lx + n[1] * ly + n[2] * lz
-        if facing > 0.0:
-            radiance = np.float32(0.55) + np.float32(0.45) * lz
-            if radiance > 0:
-                lit = _lit(x, y, z, axes[i], depth[i], inv_texel, texel * np.float32(2.2), du, dv)
-                total += radiance * facing * lit
-    return total * np.float32(9.0 * 2.86) / np.float32(count)
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _key_light(x, y, z, sample, pixel, key):
-    """Visibility of the lamp, 0..1, over a disc of about 7 mm: a soft shadow."""
-    _, axes, depth, texel = key
-    inv_texel = np.float32(1.0) / texel
-    spread = np.float32(0.007) * inv_texel
-    total = np.float32(0.0)
-    for tap in range(4):
-        k = sample * 4 + tap
-        radius = spread * np.sqrt((np.float32(k) + np.float32(0.5)) / np.float32(36.0))
-        angle = np.float32(2.399963) * np.float32(k) + pixel
-        total += _lit(
-            x,
-            y,
-            z,
-            axes[0],
-            depth[0],
-            inv_texel,
-            texel * np.float32(2.5),
-            radius * np.cos(angle),
-            radius * np.sin(angle),
-        )
-    return total * np.float32(0.25)
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _blend(rows, b0, b1, b2):
-    """Barycentric mean of the rows of a (3, 3) array, as a tuple."""
-    return (
-        b0 * rows[0, 0] + b1 * rows[1, 0] + b2 * rows[2, 0],
-        b0 * rows[0, 1] + b1 * rows[1, 1] + b2 * rows[2, 1],
-        b0 * rows[0, 2] + b1 * rows[1, 2] + b2 * rows[2, 2],
-    )
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _unit(a, sign):
-    scale = sign / (np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) + np.float32(1e-20))
-    return (a[0] * scale, a[1] * scale, a[2] * scale)
-
-
-@numba.njit(cache=True, error_model="numpy", inline="always")
-def _face_normal(corners):
-    ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
-    bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
-    return _unit((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), np.float32(1.0))
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _light(p, n, g, view, gloss, sample, pixel, sky, key, lights):
-    """Diffuse light on a surface, and the highlight and rim light added to it, at p (relative to the maps' centre).
-
-    n is the shading normal, g the face's, both towards the camera; view the unit vector to the camera.
-    """
-    lift = sky[3] * np.float32(0.8)
-    diffuse = lights[0] * _sky_light(p[0] + g[0] * lift, p[1] + g[1] * lift, p[2] + g[2] * lift, n, sample, pixel, sky)
-    facing = _dot(n, key[0])
-    shine = np.float32(0.0)
-    if facing > 0:
-        lift = key[3] * np.float32(1.5)
-        seen = _key_light(p[0] + g[0] * lift, p[1] + g[1] * lift, p[2] + g[2] * lift, sample, pixel, key)
-        half = _unit((key[0][0] + view[0], key[0][1] + view[1], key[0][2] + view[2]), np.float32(1.0))
-        shine = lights[1] * seen * gloss * max(_dot(n, half), np.float32(0.0)) ** 38 * facing
-        diffuse += lights[1] * seen * facing
-    grazing = (np.float32(1.0) - max(_dot(n, view), np.float32(0.0))) ** 4
-    rim = lights[2] * grazing * (np.float32(0.35) + np.float32(0.65) * max(n[2], np.float32(0.0)))
-    return diffuse + np.float32(0.08), shine, rim  # 0.08: light bounced from everywhere
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _shade_surfaces(image, scene, view, sky, key, lights, out):
-    _, face_index, barycentric = image
-    corners, normals, colours, gloss = scene
-    eye, centre = view
-    out_colour, out_coverage = out
-    one, ninth = np.float32(1.0), np.float32(1.0 / 9.0)
-    for row in range(out_coverage.shape[0]):
-        for column in range(out_coverage.shape[1]):
-            pixel = np.float32(((row * 7 + column * 13) % 16) * 0.3926991)
-            for sample in range(9):
-                v, u = row * 3 + sample // 3, column * 3 + sample % 3
-                face = face_index[v, u]
-                if face < 0:
-                    continue
-                b0, b1, b2 = barycentric[v, u, 0], barycentric[v, u, 1], barycentric[v, u, 2]
-                p = _blend(corners[face], b0, b1, b2)
-                to_eye = _unit((eye[0] - p[0], eye[1] - p[1], eye[2] - p[2]), one)
-                g = _face_normal(corners[face])
-                side = one if _dot(g, to_eye) >= 0 else -one
-                g = (g[0] * side, g[1] * side, g[2] * side)
-                n = _unit(_blend(normals[face], b0, b1, b2), side)
-                q = (p[0] - centre[0], p[1] - centre[1], p[2] - centre[2])
-                diffuse, shine, rim = _light(q, n, g, to_eye, gloss[face], sample, pixel, sky, key, lights)
-                rgb = _blend(colours[face], b0, b1, b2)
-                for c in range(3):
-                    glow = rim * np.float32(0.3) * (one + rgb[c])
-                    out_colour[row, column, c] += (rgb[c] * diffuse + shine + glow) * ninth
-                out_coverage[row, column] += ninth
-
-
-@numba.njit(cache=True, error_model="numpy")
-def _fill_ground(height, reach, sky, key, dark_sky, dark_key):
-    size = dark_sky.shape[0]
-    up = (np.float32(0.0), np.float32(0.0), np.float32(1.0))
-    for i in range(size):
-        x = ((np.float32(i) + np.float32(0.5)) / size * 2 - 1) * reach
-        for j in range(size):
-            y = ((np.float32(j) + np.float32(0.5)) / size * 2 - 1) * reach
-            light = np.float32(0.0)
-            for sample in range(9):
-                light += _sky_light(x, y, height, up, sample, np.float32(0.0), sky)
-            dark_sky[i, j] = max(np.float32(1.0) - light / np.float32(9.0), np.float32(0.0))
-            dark_key[i, j] = np.float32(1.0) - _key_light(x, y, height, 4, np.float32(0.0), key)

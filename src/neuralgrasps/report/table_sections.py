@@ -17,43 +17,54 @@ Cell = str | float | int | None
 
 def synthesis_table(rows: Sequence[SynthesisRow]) -> Table:
     """Counts and quality per hand and object, with a row of totals."""
-    columns = ("hand", "object", "candidates", "valid", "tried", "held", "overlap p95, mm", "ε median", "CPU s")
+    columns = (
+        "hand",
+        "object",
+        "candidates",
+        "valid",
+        "tried",
+        "held",
+        "success",
+        "overlap p95, mm",
+        "ε median",
+        "CPU s",
+    )
     body: list[tuple[Cell, ...]] = [
         (
-            r.hand,
-            pretty_name(r.object),
-            r.candidates,
-            r.valid,
-            r.validated,
-            _percent(r.success_share),
-            r.penetration_p95_mm,
-            r.epsilon_median,
-            r.cpu_s,
+            *(r.hand, pretty_name(r.object), r.candidates, r.valid, _tried(r), r.validated),
+            *(_percent(r.success_share), r.penetration_p95_mm, r.epsilon_median, r.cpu_s),
         )
         for r in rows
     ]
-    strong: tuple[int, ...] = ()
     if len(rows) > 1:
-        tried = sum(r.validated for r in rows if r.success_share is not None)
-        held = sum(r.validated * r.success_share for r in rows if r.success_share is not None)
-        cpu = [r.cpu_s for r in rows if r.cpu_s is not None]
-        counts = (sum(r.candidates for r in rows), sum(r.valid for r in rows), sum(r.validated for r in rows))
-        share = _percent(held / tried) if tried else None
-        worst = max((r.penetration_p95_mm for r in rows if r.penetration_p95_mm is not None), default=None)
-        body.append(("all", "", *counts, share, worst, None, sum(cpu) if cpu else None))
-        strong = (len(rows),)
+        body.append(_synthesis_totals(rows))
     return Table(
         title="Grasp synthesis",
         columns=columns,
         rows=tuple(body),
-        strong_rows=strong,
-        meaning="Valid grasps hold the object against any small disturbance (force closure) without overlap or "
-        "self-collision; held is the share of the tried ones that kept the object in the physics trial. "
-        "The last row adds up, and shows the largest overlap.",
-        how="Overlap is the deepest point of the hand's surface inside the object's exact distance field, or "
-        "of the object inside the hand. ε is the radius of the largest ball of wrenches the contacts "
-        "resist.",
+        strong_rows=(len(rows),) if len(rows) > 1 else (),
+        meaning="Valid grasps passed every geometric test; tried ones went through the physics trial, and held "
+        "ones kept the object. The last row adds up, and shows the largest overlap.",
+        how="Overlap is how deep hand and object cut into each other, its 95th percentile over the kept "
+        "grasps. ε is the radius of the largest ball of wrenches that the contacts resist.",
     )
+
+
+def _synthesis_totals(rows: Sequence[SynthesisRow]) -> tuple[Cell, ...]:
+    counts = (sum(r.candidates for r in rows), sum(r.valid for r in rows))
+    known = [(tried, r.validated) for r in rows if (tried := _tried(r)) is not None]
+    tried, held = sum(t for t, _ in known), sum(h for _, h in known)
+    worst = max((r.penetration_p95_mm for r in rows if r.penetration_p95_mm is not None), default=None)
+    cpu = [r.cpu_s for r in rows if r.cpu_s is not None]
+    share = _percent(held / tried) if tried else None
+    validated = sum(r.validated for r in rows)
+    return ("all", "", *counts, tried or None, validated, share, worst, None, sum(cpu) if cpu else None)
+
+
+def _tried(row: SynthesisRow) -> int | None:
+    if row.tried is not None or not row.success_share:
+        return row.tried
+    return round(row.validated / row.success_share)
 
 
 def retrieval_table(rows: Sequence[ModelRow]) -> Table:
@@ -72,11 +83,11 @@ def retrieval_table(rows: Sequence[ModelRow]) -> Table:
         title="Retrieval through the latent space",
         columns=columns,
         rows=tuple(body),
-        meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best that "
-        "any grasp in the set offers; the gap is what the code loses. Far is the same for the least similar grasp: "
-        "lower is better.",
-        how="Queries are held-out grasps, never seen in training; every grasp of the set may answer. The paper's "
-        "figures are for its own grasps and hands.",
+        meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best "
+        "that any grasp in the set offers; the gap is what the code loses. Far is the same for the "
+        "least similar grasp: lower is better.",
+        how="Queries are held-out grasps. Distance between contact maps is L1 over the largest of all "
+        "pairs; similarity is one minus that. The paper's figures are for its own grasps and hands.",
     )
 
 
@@ -90,9 +101,9 @@ def reconstruction_table(rows: Sequence[ModelRow]) -> Table:
             (pretty_name(r.object), r.grasps, r.hand_error_mm, r.object_error_mm, r.chamfer_e3, r.chamfer_oracle_e3)
             for r in shown
         ),
-        meaning="How far the decoded surfaces lie from the true ones, in millimetres. The published Chamfer measure "
-        "compares a filled shape with a surface, so even a perfect reconstruction scores above zero: see the last "
-        "column.",
+        meaning="How far the decoded surfaces lie from the true ones, in millimetres. The published Chamfer "
+        "measure compares a filled shape with a surface, so even a perfect reconstruction scores above "
+        "zero: see the last column.",
         how="Mean distance between the surfaces, both ways, on held-out grasps.",
     )
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics, look_at
@@ -67,8 +67,8 @@ def best_direction(hand_meshes: Sequence[Mesh], object_mesh: Mesh) -> np.ndarray
     """
     hand_points = np.concatenate([mesh.vertices[mesh.faces].mean(axis=1) for mesh in hand_meshes])
     object_points = object_mesh.vertices[object_mesh.faces].mean(axis=1)
-    near_object = cKDTree(object_points).query(hand_points, distance_upper_bound=_CONTACT_ZONE_M)[0]
-    near_hand = cKDTree(hand_points).query(object_points, distance_upper_bound=_CONTACT_ZONE_M)[0]
+    near_object = KDTree(object_points).query(hand_points, distance_upper_bound=_CONTACT_ZONE_M)[0]
+    near_hand = KDTree(hand_points).query(object_points, distance_upper_bound=_CONTACT_ZONE_M)[0]
     scene = merge_meshes([*hand_meshes, object_mesh])
     is_contact = np.isfinite(np.concatenate([near_object, near_hand]))
     is_object = np.arange(len(scene.faces)) >= len(hand_points)
