@@ -43,8 +43,9 @@ def test_chunks_and_versions_agree():
     for chunk in (1, 10, 80):
         np.testing.assert_allclose(contact_map(*tensors, radius=0.05, chunk_pairs=chunk), whole, atol=1e-6)
     np.testing.assert_allclose(contact_map_packed(points, pack_hand(hand, spacing=0.01), X_OH, q), whole, atol=1e-6)
-    own = tensors[0].expand(5, -1, -1)
-    np.testing.assert_allclose(contact_map(own, *tensors[1:], chunk_pairs=50), whole, atol=1e-6)
+    own = tensors[0] + 0.01 * torch.arange(5)[:, None, None]  # other points for every grasp
+    one_by_one = [contact_map(own[n], hand, tensors[2][n : n + 1], tensors[3][n : n + 1]) for n in range(5)]
+    np.testing.assert_allclose(contact_map(own, *tensors[1:], chunk_pairs=80), torch.cat(one_by_one), atol=1e-6)
     assert 0 < whole.min() < whole.max() <= 1
 
 

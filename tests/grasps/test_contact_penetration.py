@@ -83,6 +83,19 @@ def test_self_overlap_is_known(jaw, packed, box, X_OH):
     assert (depths.object_in_hand == 0).all()
 
 
+@pytest.mark.parametrize("small", [1, 2])
+def test_a_small_link_inside_a_large_one_is_seen_from_either_side(jaw, box, X_OH, small):
+    # only the small link's points are inside the other: both directions of every pair must be checked
+    ball = replace(jaw.parts[small], kind=PartKind.SPHERE, size=np.array([0.001, 0, 0]))
+    parts = tuple(ball if p.link == small else p for p in jaw.parts)
+    packed = pack_hand(replace(jaw, parts=parts), spacing=0.003)
+    far = X_OH.copy()
+    far[0, 3] = 1.0
+    # both centres coincide: the ball's points are 4 to 5 mm deep in the 10 mm thick pad
+    depths = penetration_depths(packed, box.sdf, box.points_O, X_OH=far[None], q=np.array([[-0.005, -0.005]]))
+    assert 0.004 <= depths.hand_in_hand[0] <= 0.005
+
+
 @pytest.mark.parametrize("name", ["barrett", "human", "fetch"])
 def test_depth_of_object_points_agrees_with_the_exact_distance(name, box):
     # random poses that overlap the box; the exact torch distance is the reference for every kind of part

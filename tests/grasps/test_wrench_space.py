@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from neuralgrasps.grasps import wrench_space
 from neuralgrasps.grasps.wrench_space import (
     characteristic_length,
     epsilon,
@@ -72,6 +73,25 @@ def test_unbounded_polar_is_found_where_directions_do_not_see_it():
         assert epsilon(wrenches) == 0.0
         missed += epsilon_upper_bound(wrenches) > 0
     assert missed > 20
+
+
+def test_the_linear_programme_alone_decides_force_closure():
+    # the walks find most unbounded polars too; here only the programme is asked
+    rng = np.random.default_rng(8)
+    decided = []
+    for i in range(60):
+        wrenches = rng.standard_normal((40, 6))
+        normal = rng.standard_normal(6)
+        normal /= np.linalg.norm(normal)
+        closed = i % 2 == 0
+        if not closed:
+            wrenches -= np.outer(np.maximum(wrenches @ normal, 0) + 1e-3, normal)
+        columns, count = np.ascontiguousarray(wrenches.T), len(wrenches)
+        state = (np.empty((6, count)), np.empty((6, 6)), np.empty(count), np.empty(6), np.empty(6, np.int64))
+        if wrench_space._to_vertex(columns, count, -normal, *state):
+            assert wrench_space._is_bounded(columns, count, *state) == closed
+            decided.append(closed)
+    assert 10 < sum(decided) < len(decided) - 10
 
 
 def test_two_soft_contacts_on_a_ball():
