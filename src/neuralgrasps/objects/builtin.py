@@ -17,7 +17,7 @@ from scipy.interpolate import PchipInterpolator
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.objects.loft import loft, rounded_box, rounded_rectangle, superellipse
 
-_AROUND = 96  # vertices per cross-section, a multiple of 4
+_AROUND = 64  # vertices per cross-section, a multiple of 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ def _can_profile(height: float) -> tuple[np.ndarray, np.ndarray]:
     inset = [b[1] for b in base]
     for centre in (0.36, 0.64):
         start = centre * height - 0.009
-        steps = np.linspace(0.0, 0.018, 19)
+        steps = np.linspace(0.0, 0.018, 13)
         z += list(start + steps)
         inset += list(body + 0.00015 * (1.0 - np.cos(2.0 * np.pi * steps / 0.006)))
     z += [height - b[0] for b in reversed(base)]

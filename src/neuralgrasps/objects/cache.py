@@ -18,7 +18,7 @@ import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-CACHE_VERSION = "2"  # raise it when what is computed from a mesh changes
+CACHE_VERSION = "3"  # raise it when what is computed from a mesh changes
 
 
 def home_folder() -> Path:

@@ -14,9 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
-from scipy.stats import qmc
 
-from neuralgrasps.geometry.sdf_grid import SdfGrid, query_grid_gradient_numpy, query_grid_numpy
+from neuralgrasps.geometry.sdf_grid import SdfGrid, query_grid_numpy
 
 _EVEN_CUTS = (0.2, 0.35, 0.5, 0.65, 0.8)
 _THINNEST_M = 0.0015
@@ -86,7 +85,7 @@ def _split_worst(
 
 def _best_cut(piece: Piece, sdf: SdfGrid, tolerance: float) -> tuple[Piece, Piece] | None:
     best, best_cost = None, np.inf
-    for normal, offset, preference in _candidate_planes(piece, sdf):
+    for normal, offset, preference in _candidate_planes(piece):
         below, above = clip_triangles(piece.triangles, normal, offset)
         children = _make_piece(below, sdf, tolerance), _make_piece(above, sdf, tolerance)
         if children[0] is None or children[1] is None:
@@ -122,20 +121,30 @@ def _bare_piece(triangles: np.ndarray) -> Piece | None:
     return Piece(triangles, points[hull.vertices], float(hull.volume), 0.0, points[0], 0.0)
 
 
-def _candidate_planes(piece: Piece, sdf: SdfGrid) -> Iterator[tuple[np.ndarray, float, float]]:
-    """(normal, offset, cost of preference): first through the surface below the worst point, then even cuts."""
-    _, gradient = query_grid_gradient_numpy(sdf, piece.worst)
-    deepest = piece.worst - piece.protrusion * gradient / max(float(np.linalg.norm(gradient)), 1e-9)
+def _candidate_planes(piece: Piece) -> Iterator[tuple[np.ndarray, float, float]]:
+    """(normal, offset, cost of preference): first through the bottom of the deepest hollow, then even cuts."""
+    bottom = _deepest_point(piece)
     centred = piece.corners - piece.corners.mean(axis=0)
     for axis in np.linalg.eigh(centred.T @ centred)[1].T:
         along = piece.corners @ axis
         low, high = float(along.min()), float(along.max())
         if high - low < 2.0 * _THINNEST_M:
             continue
-        cuts = [(float(deepest @ axis), 0.0)] + [(low + f * (high - low), 0.02) for f in _EVEN_CUTS]
+        cuts = [(float(bottom @ axis), 0.0)] + [(low + f * (high - low), 0.02) for f in _EVEN_CUTS]
         for offset, preference in cuts:
             if low + _THINNEST_M < offset < high - _THINNEST_M:
                 yield axis, offset, preference
+
+
+def _deepest_point(piece: Piece) -> np.ndarray:
+    """(3,) the surface point farthest below the hull, among a sample of the triangles' corners."""
+    points = piece.triangles.reshape(-1, 3)
+    points = points[:: max(1, len(points) // 4000)]
+    planes = ConvexHull(piece.corners).equations
+    depth = np.full(len(points), np.inf)
+    for plane in np.unique(np.round(planes, 4), axis=0):
+        np.minimum(depth, -(points @ plane[:3] + plane[3]), out=depth)
+    return points[int(np.argmax(depth))]
 
 
 def clip_triangles(triangles: np.ndarray, normal: np.ndarray, offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -199,7 +208,16 @@ def sample_triangles(triangles: np.ndarray, count: int) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _halton(count: int) -> np.ndarray:
-    return qmc.Halton(3, scramble=False).random(count + 1)[1:]
+    """(count, 3) points of the Halton sequence in bases 2, 3, 5, without the first, zero."""
+    columns = []
+    for base in (2, 3, 5):
+        index, value, digit = np.arange(1, count + 1), np.zeros(count), 1.0
+        while index.any():
+            digit /= base
+            index, rest = np.divmod(index, base)
+            value += digit * rest
+        columns.append(value)
+    return np.stack(columns, axis=1)
 
 
 def _merge(pieces: Sequence[Piece], sdf: SdfGrid, tolerance: float) -> list[Piece]:

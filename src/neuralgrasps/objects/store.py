@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from neuralgrasps.errors import InputError
-from neuralgrasps.objects.cache import home_folder
+from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.objects.cache import home_folder, write_atomically
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -55,3 +59,33 @@ def stored_notes(name: str) -> dict[str, str]:
         return {str(k): str(v) for k, v in notes.items()}
     except (OSError, ValueError, AttributeError):
         return {"source": f"imported as '{name}'; its record is missing or damaged", "licence": "unknown"}
+
+
+def store_mesh(name: str, mesh: Mesh, notes: Mapping[str, str]) -> None:
+    """Keep a mesh and its provenance under `name`; an older one is replaced.
+
+    Raises:
+        InputError: the name cannot be used, or the home folder cannot be written.
+    """
+    folder = objects_folder() / check_object_name(name)
+    try:
+        # the mesh last: a folder without it does not count
+        write_atomically(folder / "object.json", json.dumps(dict(notes), indent=1, sort_keys=True).encode())
+        write_atomically(folder / "mesh.ply", ply_bytes(mesh))
+    except OSError as error:
+        raise InputError(
+            f"cannot write '{folder}': {error.strerror or error}. Free some space, or set NEURALGRASPS_HOME to a "
+            "folder that can be written."
+        ) from error
+
+
+def ply_bytes(mesh: Mesh) -> bytes:
+    """Binary PLY with float64 vertices: reading it back gives the same mesh and hash."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(mesh.vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(mesh.faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(mesh.faces), dtype=[("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    return header.encode("ascii") + mesh.vertices.astype("<f8").tobytes() + faces.tobytes()

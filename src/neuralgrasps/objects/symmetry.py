@@ -17,6 +17,7 @@ _CONTINUOUS_STEPS = 36
 _ORDERS = (6, 5, 4, 3, 2)
 _REFINE_POINTS = 512
 _SHARE = 0.95  # of the surface must stay within the tolerance; the rest is scanning noise and dents
+_STAYED = math.cos(math.radians(15.0))
 _SNAP = math.cos(math.radians(0.05))
 
 
@@ -155,6 +156,8 @@ def _measure_axis(
     for order in _ORDERS:
         angle = 2.0 * math.pi / order
         fitted, point = _fit_axis(points_O, sdf, axis, centre, angle)
+        if abs(float(fitted @ axis)) < _STAYED:
+            continue  # the fit ran away to another symmetry
         deviation = _deviation(points_O, sdf, _about(fitted, point, angle))
         if deviation <= tolerance:
             return _Axis(fitted, float(order), point, deviation)
@@ -172,7 +175,7 @@ def _fit_axis(
     for _ in range(8):
         moved = points @ R.T
         distance, gradient = query_grid_gradient_numpy(sdf, moved + t + centre)
-        weight = 1.0 / (1.0 + (distance / (0.05 * radius)) ** 2)
+        weight = 1.0 / (1.0 + (distance / (0.2 * radius)) ** 2)
         J = np.concatenate([gradient, np.cross(moved, gradient) / radius], axis=1)
         # the damping keeps motions that the shape does not resist (a turn of a can about its axis) where they are
         normal = (J * weight[:, None]).T @ J + 1e-3 * len(points) * np.eye(6)
