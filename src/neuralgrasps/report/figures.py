@@ -57,10 +57,10 @@ def render_grasp(
     Raises:
         ShapeError: `X_OH` or `q` holds more or less than one grasp, or `vertex_values` does not fit the mesh.
     """
-    surfaces = [*posed_hand_surfaces(hand, X_OH, q), object_surface(obj.mesh, vertex_values)]
+    hand_surfaces = posed_hand_surfaces(hand, X_OH, q)
+    surfaces = [*hand_surfaces, object_surface(obj.mesh, vertex_values)]
     if view is None:
-        coarse = posed_hand_surfaces(hand, X_OH, q, segments=10)
-        view = best_direction([s.mesh for s in coarse], obj.mesh)
+        view = best_direction([s.caster or s.mesh for s in hand_surfaces], obj.mesh)
     return _picture(surfaces, view, size)
 
 
@@ -155,7 +155,7 @@ def render_depth(depth: np.ndarray) -> np.ndarray:
     return np.round(np.where(valid[..., None], colour, 0.84) * 255).astype(np.uint8)
 
 
-def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, segments: int = 20) -> list[Surface]:
+def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray) -> list[Surface]:
     """The hand's links in the object frame: fingers in the hand's colour, palm and other links in graphite."""
     X_OH, q = np.asarray(X_OH, np.float64), np.asarray(q, np.float64)
     X_OH = X_OH[0] if X_OH.shape == (1, 4, 4) else X_OH
@@ -167,8 +167,15 @@ def posed_hand_surfaces(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, segments
     finger_links = {link for finger in hand.fingers for link in finger.links}
     palm = mix(colour, linear_rgb(GRAPHITE), 0.86)
     return [
-        Surface(mesh=mesh.transformed(X_OH), colour=colour if part.link in finger_links else palm, gloss=0.3)
-        for part, mesh in zip(hand.parts, hand_part_meshes(hand, q, segments=segments), strict=True)
+        Surface(
+            mesh=mesh.transformed(X_OH),
+            colour=colour if part.link in finger_links else palm,
+            gloss=0.3,
+            caster=coarse.transformed(X_OH),
+        )
+        for part, mesh, coarse in zip(
+            hand.parts, hand_part_meshes(hand, q, segments=32), hand_part_meshes(hand, q, segments=12), strict=True
+        )
     ]
 
 

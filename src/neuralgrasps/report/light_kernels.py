@@ -17,7 +17,7 @@ _DISC = _disc_points()
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _lit(x, y, z, axes, depth, inv_texel, bias, du, dv):
+def _lit(x, y, z, axes, depth, inv_texel, bias, ramp, du, dv):
     """1 when nothing stands between the point (relative to the maps' centre) and the light, 0 in its shadow."""
     size = depth.shape[0]
     half = 0.5 * size
@@ -26,8 +26,8 @@ def _lit(x, y, z, axes, depth, inv_texel, bias, du, dv):
     if u < 0 or v < 0 or u >= size or v >= size:
         return np.float32(1.0)
     d = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-    # A ramp of one cell instead of a step: the cells of the map do not show on slanted surfaces.
-    return min(max(np.float32(1.0) - (d - bias - depth[v, u]) * inv_texel, np.float32(0.0)), np.float32(1.0))
+    # A ramp instead of a step: the cells of the map do not show on slanted surfaces.
+    return min(max(np.float32(1.0) - (d - bias - depth[v, u]) * ramp, np.float32(0.0)), np.float32(1.0))
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
@@ -36,8 +36,8 @@ def _sky_light(x, y, z, n, sample, pattern, sky):
     directions, axes, depth, texel = sky
     count = directions.shape[0]
     inv_texel = np.float32(1.0) / texel
-    # Neighbouring pixels ask the maps up to two cells apart, so that no single light draws a sharp shadow.
-    du, dv = _DISC[pattern, 4 * sample + 3, 0] * np.float32(1.8), _DISC[pattern, 4 * sample + 3, 1] * np.float32(1.8)
+    # Neighbouring pixels ask the maps more than a cell apart, so that no single light draws a sharp shadow.
+    du, dv = _DISC[pattern, 4 * sample + 3, 0] * np.float32(1.4), _DISC[pattern, 4 * sample + 3, 1] * np.float32(1.4)
     total = np.float32(0.0)
     for i in range(sample, count, 9):
         lx, ly, lz = directions[i, 0], directions[i, 1], directions[i, 2]
@@ -45,7 +45,9 @@ def _sky_light(x, y, z, n, sample, pattern, sky):
         if facing > 0.0:
             radiance = np.float32(0.55) + np.float32(0.45) * lz
             if radiance > 0:
-                lit = _lit(x, y, z, axes[i], depth[i], inv_texel, texel * np.float32(2.2), du, dv)
+                lit = _lit(
+                    x, y, z, axes[i], depth[i], inv_texel, texel * np.float32(2.0), inv_texel * np.float32(0.4), du, dv
+                )
                 total += radiance * facing * lit
     return total * np.float32(9.0 * 2.86) / np.float32(count)
 
@@ -59,7 +61,7 @@ def _key_light(x, y, z, sample, pattern, key):
     total = np.float32(0.0)
     for tap in range(4 * sample, 4 * sample + 4):
         du, dv = spread * _DISC[pattern, tap, 0], spread * _DISC[pattern, tap, 1]
-        total += _lit(x, y, z, axes[0], depth[0], inv_texel, texel * np.float32(2.5), du, dv)
+        total += _lit(x, y, z, axes[0], depth[0], inv_texel, texel * np.float32(2.5), inv_texel, du, dv)
     return total * np.float32(0.25)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from neuralgrasps.geometry.camera import Intrinsics, pixel_rays
-from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.report.light_kernels import fill_ground, shade_surfaces
 from neuralgrasps.report.palette import linear_to_srgb
@@ -34,11 +34,13 @@ class Surface:
         mesh: its surface, world frame (Z up).
         colour: (3,) linear-light RGB, or (V, 3) one per vertex.
         gloss: strength of the highlight, 0 matte .. 1.
+        caster: a coarser mesh of the same shape, world frame, that throws its shadows from the sky; the mesh when None.
     """
 
     mesh: Mesh
     colour: np.ndarray
     gloss: float = 0.25
+    caster: Mesh | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,7 +82,9 @@ def shade(
     radius = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).max())) * 1.02
     sphere = {"centre": centre, "radius": radius}
     sky_directions, key_direction = dome_directions(_DOME_LIGHTS), _key_direction(X_WC, style)
-    sky = (sky_directions.astype(np.float32), *_maps(vertices, faces, sky_directions, **sphere, size=_DOME_MAP))
+    coarse = merge_meshes([s.caster or s.mesh for s in surfaces])
+    sky_maps = _maps(coarse.vertices, coarse.faces, sky_directions, **sphere, size=_DOME_MAP)
+    sky = (sky_directions.astype(np.float32), *sky_maps)
     key = (key_direction.astype(np.float32), *_maps(vertices, faces, key_direction[None], **sphere, size=_KEY_MAP))
     colour = np.zeros((intrinsics.height, intrinsics.width, 3), np.float32)
     coverage = np.zeros((intrinsics.height, intrinsics.width), np.float32)
