@@ -13,7 +13,8 @@ import numpy as np
 
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.dataset.schema import DatasetConfig
-from neuralgrasps.geometry.mesh import Mesh, signed_distance
+from neuralgrasps.dataset.mesh_tree import build_tree, tree_distance
+from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.sampling import sample_surface
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
 from neuralgrasps.seeds import child_rng
@@ -140,18 +141,18 @@ def sample_scenes(
     X_OH, q = np.array(X_OH, np.float64), np.array(q, np.float64)
     count, queries = len(X_OH), config.queries_per_scene
     points = np.empty((count, queries, 3), np.float32)
-    sdf_hand = np.empty((count, queries), np.float32)
+    sdf_object, sdf_hand = np.empty((2, count, queries), np.float32)
+    tree = build_tree(mesh)
     distance = np.empty(queries)
     for i in range(count):
         rng = scene_rng(config.seed, hand, object_name, X_OH[i], q[i])
         points[i] = scene_queries(mesh, packed, X_OH[i], q[i], normalisation=normalisation, config=config, rng=rng)
         hand_distance_many(packed, X_OH[i], q[i], points[i].astype(np.float64), distance)
         sdf_hand[i] = distance
-    # One call for all scenes: the mesh's search tree is built once.
-    sdf_object = signed_distance(mesh, points.reshape(-1, 3).astype(np.float64))
+        sdf_object[i] = tree_distance(tree, mesh, points[i])
     return SdfSamples(
         points_O=points,
-        sdf_object=sdf_object.reshape(count, queries).astype(np.float32),
+        sdf_object=sdf_object,
         sdf_hand=sdf_hand,
         hand_index=np.full(count, hand_index, np.int32),
     )
