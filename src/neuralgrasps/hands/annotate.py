@@ -22,6 +22,7 @@ HALF_CLOSED = 0.5
 PRESHAPE_SHARE = 0.45  # of the way from open to closed
 WIDE_SPREAD = 1.5  # rad: a sideways joint with more range than this is a spread to choose freely
 PAD_LENGTH = 0.02  # metres of a jaw's finger taken as its pad
+LATE_MEETING, SAME_WAY = 0.03, 0.02  # metres of gap that a last-moment, or an unopposed, meeting is worth
 _GRID = 7
 
 
@@ -143,28 +144,52 @@ def _own_dofs(model: MovableHand, finger: int) -> list[int]:
 def _oppose(
     model: MovableHand, closing: np.ndarray, thumb: int, q_open: np.ndarray, q_closed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Turn the thumb's non-closing joints to where its tip meets the other fingertips soonest while closing."""
-    tree = model.tree
-    turning = [j for j in _own_dofs(model, thumb) if closing[j] == 0][:3]
-    if not turning or len(model.fingers) < 2:
+    """Turn the thumb to where its tip meets the other fingertips best while all close together.
+
+    Searched: its joints that do not close, and closing ones whose zero is far from their open end.
+    """
+    tree, own = model.tree, _own_dofs(model, thumb)
+    slack = np.abs(q_open - np.where(closing > 0, tree.lower, tree.upper)) / (tree.upper - tree.lower)
+    turned = [j for j in own if closing[j] == 0 or slack[j] > 0.3][:3]
+    if not turned or len(model.fingers) < 2:
         return q_open, q_closed
-    axes = [np.linspace(tree.lower[j], tree.upper[j], _GRID) for j in turning]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(turning))
-    own = np.isin(np.arange(tree.num_dofs), _own_dofs(model, thumb))
-    shares = np.linspace(0.0, 1.0, 9)
-    s, u = (v.ravel() for v in np.meshgrid(shares, shares, indexing="ij"))
-    share = np.where(own, u[:, None], s[:, None])
-    q = q_open + share * (q_closed - q_open)
+    fixed = [k for k, j in enumerate(turned) if closing[j] == 0]
+    axes = [np.linspace(tree.lower[j], tree.upper[j], _GRID) for j in turned]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(turned))
+    share = _closing_shares_over_time(tree.num_dofs, own)
     costs = np.empty(len(grid))
     for k, values in enumerate(grid):
-        q[:, turning] = values
-        tips = model.tips(q)
-        gaps = np.sort(np.linalg.norm(np.delete(tips, thumb, axis=1) - tips[:, thumb : thumb + 1], axis=2), axis=1)
-        costs[k] = (gaps[:, :2].mean(axis=1) + 0.02 * (s + u)).min()  # metres; an early meeting is a wide pinch
+        start, end = q_open.copy(), q_closed.copy()
+        start[turned] = values
+        end[[turned[f] for f in fixed]] = values[fixed]
+        tips = model.tips(start + share * (end - start))  # (starts, times, F, 3)
+        costs[k] = _meeting_cost(tips, thumb).min(axis=1).mean()
     best = grid[int(np.argmin(costs))]
     q_open, q_closed = q_open.copy(), q_closed.copy()
-    q_open[turning], q_closed[turning] = best, best
+    q_open[turned] = best
+    q_closed[[turned[f] for f in fixed]] = best[fixed]
     return q_open, q_closed
+
+
+def _meeting_cost(tips: np.ndarray, thumb: int) -> np.ndarray:
+    """(starts, times - 1) metres: how badly the thumb of closing hands meets the two nearest tips at each time.
+
+    The gap, more for a late meeting (little room for an object) and for tips that move the same way (no pinch).
+    """
+    own, others = tips[:, :, thumb : thumb + 1], np.delete(tips, thumb, axis=2)
+    gaps = np.sort(np.linalg.norm(others - own, axis=3), axis=2)[:, 1:, :2].mean(axis=2)
+    u, v = np.diff(own, axis=1)[:, :, 0], np.diff(others, axis=1).mean(axis=2)
+    speeds = np.linalg.norm(u, axis=2) * np.linalg.norm(v, axis=2)
+    agreement = (u * v).sum(axis=2) / np.maximum(speeds, 1e-12)
+    return gaps + LATE_MEETING * np.linspace(0, 1, gaps.shape[1]) + SAME_WAY * agreement
+
+
+def _closing_shares_over_time(num_dofs: int, thumb_dofs: list[int]) -> np.ndarray:
+    """(9 starts, 9 times, J) how far each joint is from open to closed, from nine preshapes of fingers and thumb."""
+    starts = PRESHAPE_SHARE * np.array([0.0, 0.5, 1.0])
+    fingers, own = (v.ravel()[:, None, None] for v in np.meshgrid(starts, starts, indexing="ij"))
+    is_thumb = np.isin(np.arange(num_dofs), thumb_dofs)
+    return np.clip(np.where(is_thumb, own, fingers) + np.linspace(0.0, 1.0, 9)[:, None], 0.0, 1.0)
 
 
 def _jaw_pad(model: MovableHand, q_open: np.ndarray, normal: np.ndarray) -> np.ndarray:
