@@ -156,7 +156,7 @@ def _symmetry_note(group: SymmetryGroup) -> str:
 
 def _pack(d: _Derived) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     axis = d.symmetry.continuous_axis
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         "sdf_values": d.sdf.values,
         "sdf_origin": d.sdf.origin,
         "sdf_spacing": np.array([d.sdf.spacing]),

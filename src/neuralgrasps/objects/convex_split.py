@@ -54,9 +54,9 @@ def split_solid(triangles: np.ndarray, sdf: SdfGrid, *, tolerance_m: float, max_
     whole = _make_piece(triangles, sdf, tolerance_m)
     if whole is None:
         return []
-    pieces, finished = [whole], []
+    pieces = [whole]
     for _ in range(3):  # merging frees room for more cuts
-        pieces = _split_worst(pieces, finished, sdf, tolerance_m, max_parts)
+        pieces = _split_worst(pieces, sdf, tolerance_m, max_parts)
         count = len(pieces)
         pieces = _merge(pieces, sdf, tolerance_m)
         if len(pieces) == count or max(p.excess for p in pieces) <= 0.0:
@@ -64,12 +64,10 @@ def split_solid(triangles: np.ndarray, sdf: SdfGrid, *, tolerance_m: float, max_
     return pieces
 
 
-def _split_worst(
-    pieces: list[Piece], finished: list[Piece], sdf: SdfGrid, tolerance: float, max_parts: int
-) -> list[Piece]:
+def _split_worst(pieces: Sequence[Piece], sdf: SdfGrid, tolerance: float, max_parts: int) -> list[Piece]:
     """Split the piece with the most excess until none has any, none can be split, or there are `max_parts`."""
     pieces = list(pieces)
-    stuck: list[Piece] = list(finished)
+    stuck: list[Piece] = []
     while len(pieces) < max_parts:
         open_pieces = [p for p in pieces if p.excess > 0.0 and not any(p is s for s in stuck)]
         if not open_pieces:
@@ -84,19 +82,21 @@ def _split_worst(
 
 
 def _best_cut(piece: Piece, sdf: SdfGrid, tolerance: float) -> tuple[Piece, Piece] | None:
-    best, best_cost = None, np.inf
+    best: tuple[Piece, Piece] | None = None
+    best_cost = np.inf
     for normal, offset, preference in _candidate_planes(piece):
         below, above = clip_triangles(piece.triangles, normal, offset)
-        children = _make_piece(below, sdf, tolerance), _make_piece(above, sdf, tolerance)
-        if children[0] is None or children[1] is None:
+        first, second = _make_piece(below, sdf, tolerance), _make_piece(above, sdf, tolerance)
+        if first is None or second is None:
             continue
+        children = (first, second)
         # what is still too fat counts, and a little how much solid is still part of a fat piece: cutting a lid's rim
         # off a can gains nothing at once, but makes the can itself right
         left = sum(c.excess for c in children) / piece.excess
         fat = sum(c.volume for c in children if c.excess > 0.0) / piece.volume
         cost = left + 0.1 * fat + preference
         if cost < best_cost:
-            best, best_cost = (children[0], children[1]), cost
+            best, best_cost = children, cost
     return best
 
 

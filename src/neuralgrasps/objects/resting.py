@@ -16,7 +16,7 @@ def resting_poses(points_O: np.ndarray, com_O: np.ndarray, *, min_share: float =
 
     Args:
         points_O: (M, 3) vertices or surface points, metres. com_O: (3,) centre of mass.
-        min_share: smaller shares are dropped.
+        min_share: smaller shares are dropped, but never the largest: a ball rests on any of its many facets.
     Returns:
         X_WO (K, 4, 4), the lowest point at z = 0 and the centre of mass above the origin, and (K,) the share of
         the sphere of directions whose push down ends on that face (solid angle seen from the centre of mass), largest
@@ -26,11 +26,13 @@ def resting_poses(points_O: np.ndarray, com_O: np.ndarray, *, min_share: float =
     a, b, c = (vertices[faces[:, k]] - com_O for k in range(3))
     normals = np.cross(b - a, c - a)
     area = np.linalg.norm(normals, axis=1)
-    normals /= np.maximum(area, 1e-15)[:, None]
+    solid = area > 1e-9 * area.max()  # a sliver has no direction
+    a, b, c, area, normals = (v[solid] for v in (a, b, c, area, normals))
+    normals = normals / area[:, None]
     height = (a * normals).sum(1)
     stable = _projects_inside(np.stack([a, b, c], axis=1), normals * height[:, None], normals)
     share = _solid_angles(a, b, c)
-    poses, weights, used = [], [], np.zeros(len(faces), bool)
+    poses, weights, used = [], [], np.zeros(len(area), bool)
     for face in np.argsort(-area, kind="stable"):
         if used[face]:
             continue
@@ -45,7 +47,7 @@ def resting_poses(points_O: np.ndarray, com_O: np.ndarray, *, min_share: float =
         poses.append(X_WO)
         weights.append(float(share[same].sum()))
     weight = np.array(weights) / max(sum(weights), 1e-12)
-    order = [i for i in np.argsort(-weight, kind="stable") if weight[i] >= min_share]
+    order = [i for i in np.argsort(-weight, kind="stable") if weight[i] >= min(min_share, weight.max())]
     kept = weight[order]
     return np.array(poses)[order], kept / kept.sum()
 
