@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,17 @@ def test_a_wrist_stays_still(write_robot):
     assert hand.closing_rate[j] == 0 and hand.preshape_lower[j] == hand.preshape_upper[j] == 0
     assert hand.X_HP[:3, 2] == pytest.approx([0, 0, -1], abs=1e-9)
     assert len(hand.fingers) == 3
+
+
+@pytest.mark.parametrize(
+    ("pattern", "instead"),
+    [
+        (r'(<link name="palm">)<collision>.*?</collision>', r"\1"),  # a palm without shape
+        (r'(<link name="[abc]0">)<collision>.*?</collision>', r"\1"),  # shape on the tips alone
+        (r"<limit[^>]*/>", ""),  # neither limits nor efforts
+    ],
+)
+def test_gaps_in_the_file_do_not_change_what_is_found(write_robot, pattern, instead):
+    hand = load_hand(write_robot(re.sub(pattern, instead, three_finger_urdf())))
+    assert np.all(hand.closing_rate > 0) and len(hand.fingers) == 3 and np.all(hand.tree.effort > 0)
+    assert hand.X_HP[:3, 2] == pytest.approx([0, 0, -1], abs=1e-9)
