@@ -1,0 +1,103 @@
+"""Measure what the demo made: overlap against the true mesh, the latent space on held-out grasps, poses from depth."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+from neuralgrasps.evaluate.grasps import measured_penetration
+from neuralgrasps.evaluate.pose import PoseErrors, pose_errors
+from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
+from neuralgrasps.geometry.primitives import box_mesh
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.objects.resting import resting_poses
+from neuralgrasps.perception.pose import PoseResult, estimate_pose
+from neuralgrasps.perception.segment import segment_above_table
+from neuralgrasps.seeds import child_rng, child_seed
+from neuralgrasps.sim.camera import DepthNoise, DepthView, render_depth_view
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspMeasures:
+    """Deepest hand point inside the true mesh per grasp, metres: by (hand, object), and all together."""
+
+    by_pair: Mapping[tuple[str, str], np.ndarray]
+    penetration_m: np.ndarray
+
+
+def measure_grasps(
+    hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel], grasp_sets: Sequence[GraspSet]
+) -> GraspMeasures:
+    """Overlap of every grasp at 4 mm point spacing, against the mesh itself."""
+    by_pair = {
+        (g.hand, g.object): measured_penetration(hands[g.hand], objects[g.object], g, spacing=0.004) for g in grasp_sets
+    }
+    return GraspMeasures(by_pair=by_pair, penetration_m=np.concatenate(list(by_pair.values())))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseTrial:
+    """One object on a table, one depth view, one estimate.
+
+    Attributes:
+        view: what the camera saw. X_CO_true: (4, 4). result, errors: the estimate and how far off it is.
+        wall_s: time of the estimate. diameter_m: largest extent of the object.
+    """
+
+    object: str
+    view: DepthView
+    X_CO_true: np.ndarray
+    result: PoseResult
+    errors: PoseErrors
+    wall_s: float
+    diameter_m: float
+
+
+def pose_trials(
+    objects: Sequence[ObjectModel], *, views: int, seed: int, progress: Progress | None = None
+) -> tuple[PoseTrial, ...]:
+    """Random stable poses on a table, random views from 0.5 to 1.2 m, sensor noise; nothing hides the object."""
+    trials = []
+    for obj in objects:
+        for i in range(views):
+            trials.append(_pose_trial(obj, child_seed(seed, "pose trial", obj.name, i)))
+            if progress is not None:
+                progress(len(trials), len(objects) * views, obj.name)
+    return tuple(trials)
+
+
+def _pose_trial(obj: ObjectModel, seed: int) -> PoseTrial:
+    rng = child_rng(seed, "scene")
+    intrinsics = Intrinsics.from_fov(np.deg2rad(45.0), 320, 240)
+    poses, shares = resting_poses(obj.mesh.vertices, obj.com_O)
+    spin, around = rng.uniform(0.0, 2.0 * np.pi, 2)
+    X_WO = np.eye(4)
+    X_WO[:2, :2] = [[np.cos(spin), -np.sin(spin)], [np.sin(spin), np.cos(spin)]]
+    X_WO = X_WO @ poses[rng.choice(len(poses), p=shares)]
+    height, distance = np.deg2rad(rng.uniform(25.0, 65.0)), rng.uniform(0.5, 1.2)
+    eye = distance * np.array([np.cos(around) * np.cos(height), np.sin(around) * np.cos(height), np.sin(height)])
+    X_WC = look_at(eye, np.array([0.0, 0.0, 0.05]))
+    X_WT = np.eye(4)
+    X_WT[2, 3] = -0.01
+    view = render_depth_view(
+        [obj.mesh, box_mesh([0.6, 0.6, 0.01])], np.stack([X_WO, X_WT]), X_WC=X_WC, intrinsics=intrinsics,
+        noise=DepthNoise(), seed=seed,
+    )  # fmt: skip
+    masks = segment_above_table(view.depth, intrinsics, X_WC, table_z_m=0.0)
+    points_C = back_project(view.depth, intrinsics, mask=masks[0])
+    start = time.perf_counter()
+    result = estimate_pose(obj, points_C, depth=view.depth, intrinsics=intrinsics, seed=seed)
+    wall_s = time.perf_counter() - start
+    X_CO_true = np.linalg.inv(X_WC) @ X_WO
+    return PoseTrial(
+        object=obj.name, view=view, X_CO_true=X_CO_true, result=result, errors=pose_errors(obj, result.X_CO, X_CO_true),
+        wall_s=wall_s, diameter_m=float(pdist(obj.points_O[::8]).max()),
+    )  # fmt: skip
