@@ -153,6 +153,4 @@ def _ranked(
         index[i, :kept] = rows[order]
         code_distance[i, :kept] = best[i, order]
         symmetry[i, :kept] = version[i, order]
-    return RetrieveResult(
-        index=index, code_distance=code_distance, map_distance=map_distance, symmetry=symmetry
-    )
+    return RetrieveResult(index=index, code_distance=code_distance, map_distance=map_distance, symmetry=symmetry)

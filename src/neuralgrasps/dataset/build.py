@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,16 +20,17 @@ from neuralgrasps.dataset.schema import (
     ShardEntry,
     check_name,
     sha256_of_file,
-    write_atomically,
     write_manifest,
 )
 from neuralgrasps.dataset.shards import ShardFiles, ShardTask, build_shard, fingerprint_of, write_grasps
 from neuralgrasps.dataset.splits import split_grasps
 from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import pack_hand
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.parallel import run_tasks
 
 HAND_POINT_SPACING_M = 0.006  # of the packed hand; SDF samples do not depend on it
 
@@ -63,7 +61,6 @@ def build_dataset(
     objects: Mapping[str, ObjectModel],
     config: DatasetConfig | None = None,
     workers: int = 1,
-    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> BuildResult:
     """Write a dataset of SDF samples, contact maps and splits.
@@ -77,7 +74,6 @@ def build_dataset(
         grasp_sets: one set per pair, at least one grasp each.
         hands, objects: by the names that the grasp sets use.
         workers: processes (1 = this one). Results do not depend on it.
-        executor: a pool to use instead of starting one.
         progress: told after each shard.
     Raises:
         InputError: no grasps, a pair twice, or a name that cannot be a file name.
@@ -89,7 +85,7 @@ def build_dataset(
     frames = {name: normalisation_of(objects[name].points_O) for name in sorted({g.object for g in grasp_sets})}
     tasks, hand_entries = _tasks(folder, grasp_sets, hands, objects, frames, config)
     object_entries = {name: _write_object(folder, objects[name], frames[name]) for name in frames}
-    files = _run(tasks, workers, executor, progress)
+    files = _run(tasks, workers, progress)
     manifest = Manifest(
         schema_version=SCHEMA_VERSION,
         library_version=neuralgrasps.__version__,
@@ -103,9 +99,7 @@ def build_dataset(
     return BuildResult(folder=folder, manifest=manifest, built=built, kept=len(files) - built)
 
 
-def _check_pairs(
-    grasp_sets: Sequence[GraspSet], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
-) -> None:
+def _check_pairs(grasp_sets: Sequence[GraspSet], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]) -> None:
     if not grasp_sets:
         raise InputError("no grasp sets given; expected at least one hand and object.")
     seen: set[tuple[str, str]] = set()
@@ -168,7 +162,7 @@ def _write_object(folder: Path, model: ObjectModel, frame: Normalisation) -> Obj
         "vertices_O": np.ascontiguousarray(model.mesh.vertices, np.float64),
         "faces": np.ascontiguousarray(model.mesh.faces, np.int32),
     }
-    write_atomically(folder / name, save(arrays))
+    write_whole(folder / name, save(arrays))
     return ObjectEntry(
         content_hash=model.content_hash,
         offset_O=(float(frame.offset_O[0]), float(frame.offset_O[1]), float(frame.offset_O[2])),
@@ -179,40 +173,14 @@ def _write_object(folder: Path, model: ObjectModel, frame: Normalisation) -> Obj
     )
 
 
-def limit_threads() -> None:
-    """Pool initialiser: one thread per worker, for the libraries that would start one per core."""
-    for name in ("IGL_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = "1"
-
-
-def _run(
-    tasks: Sequence[ShardTask], workers: int, executor: Executor | None, progress: Progress | None
-) -> list[ShardFiles]:
+def _run(tasks: Sequence[ShardTask], workers: int, progress: Progress | None) -> list[ShardFiles]:
     # The largest shards first, so that no worker ends with one while the others wait.
     order = sorted(tasks, key=lambda t: len(t.X_OH) * (8 + len(t.packed.part_kind)), reverse=True)
-    if executor is not None:
-        return _collect(_pooled(executor, order), len(order), progress)
-    if workers <= 1 or len(order) == 1:
-        return _collect((build_shard(task) for task in order), len(order), progress)
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(min(workers, len(order)), mp_context=context, initializer=limit_threads)
-    try:
-        return _collect(_pooled(pool, order), len(order), progress)
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _pooled(executor: Executor, tasks: Sequence[ShardTask]) -> Iterable[ShardFiles]:
-    futures = [executor.submit(build_shard, task) for task in tasks]
-    return (future.result() for future in as_completed(futures))
-
-
-def _collect(results: Iterable[ShardFiles], total: int, progress: Progress | None) -> list[ShardFiles]:
     files: list[ShardFiles] = []
-    for done in results:
+    for _, done in run_tasks(build_shard, [(task,) for task in order], workers=workers):
         files.append(done)
         if progress is not None:
-            progress(len(files), total, f"{done.hand} on {done.object}")
+            progress(len(files), len(order), f"{done.hand} on {done.object}")
     return files
 
 

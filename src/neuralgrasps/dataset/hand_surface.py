@@ -114,6 +114,7 @@ def sample_posed_surface(
         (count, 3) float64, object frame, metres. Points inside another part are drawn again, so
         every point is on the outside of the hand.
     """
+    X_OH, q = np.array(X_OH, np.float64), np.array(q, np.float64)  # kernels are compiled for writable arrays
     X_OP = (X_OH @ packed_link_poses(packed, q))[packed.part_link] @ np.linalg.inv(packed.part_X_PL)
     area = part_areas(packed)
     kept: list[np.ndarray] = []

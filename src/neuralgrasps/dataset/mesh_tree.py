@@ -27,8 +27,8 @@ class MeshTree(NamedTuple):
     Attributes:
         corners (F, 3, 3): triangle corners.
         normals (F, 7, 3): of the face, its three edges (01, 12, 20) and its three corners; zero where not reliable.
-        low, high (N, 3): boxes; first, last (N,): triangles of a node; right (N,): its second child, 0 for a leaf (the first
-            child follows the node).
+        low, high (N, 3): boxes; first, last (N,): triangles of a node; right (N,): its second child, 0 for a
+            leaf (the first child follows the node).
     """
 
     corners: np.ndarray
@@ -184,9 +184,9 @@ def _closest_on_triangle(t, x, y, z):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _box_distance(tree, node, x, y, z):  # type: ignore[no-untyped-def]
-    dx = max(max(tree.low[node, 0] - x, x - tree.high[node, 0]), 0.0)
-    dy = max(max(tree.low[node, 1] - y, y - tree.high[node, 1]), 0.0)
-    dz = max(max(tree.low[node, 2] - z, z - tree.high[node, 2]), 0.0)
+    dx = max(tree.low[node, 0] - x, x - tree.high[node, 0], 0.0)
+    dy = max(tree.low[node, 1] - y, y - tree.high[node, 1], 0.0)
+    dz = max(tree.low[node, 2] - z, z - tree.high[node, 2], 0.0)
     return dx * dx + dy * dy + dz * dz
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
-from neuralgrasps.dataset.schema import DatasetConfig
 from neuralgrasps.dataset.mesh_tree import build_tree, tree_distance
+from neuralgrasps.dataset.schema import DatasetConfig
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.sampling import sample_surface
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
@@ -178,5 +178,3 @@ def contact_maps(
 ) -> np.ndarray:
     """Closeness (N, P) float32 of each object point to each posed hand, exact distances."""
     return closeness(hand_distances(packed, X_OH, q, points_O), radius_m)
-
-

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -13,6 +12,7 @@ from pathlib import Path
 import msgspec
 
 from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.files import write_whole
 
 SCHEMA_VERSION = 1
 MANIFEST_NAME = "manifest.json"
@@ -129,21 +129,10 @@ def sha256_of_file(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write `data` under a temporary name in the same folder, then rename: readers never see half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write the manifest of a dataset folder (atomic; keys sorted, so equal datasets give equal bytes)."""
     text = json.dumps(asdict(manifest), indent=1, sort_keys=True)
-    write_atomically(folder / MANIFEST_NAME, (text + "\n").encode())
+    write_whole(folder / MANIFEST_NAME, text + "\n")
 
 
 def read_manifest(folder: Path) -> Manifest:

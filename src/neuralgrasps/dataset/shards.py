@@ -13,8 +13,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import load, save
 
 from neuralgrasps.dataset.samples import Normalisation, SdfSamples, contact_maps, sample_scenes
-from neuralgrasps.dataset.schema import SCHEMA_VERSION, DatasetConfig, sha256_of_file, write_atomically
+from neuralgrasps.dataset.schema import SCHEMA_VERSION, DatasetConfig, sha256_of_file
 from neuralgrasps.errors import DataFormatError
+from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.grasps.grasp_io import save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet
@@ -104,7 +105,7 @@ def build_shard(task: ShardTask) -> ShardFiles:
     key = shard_key(task)
     missing = shard_key_on_disk(samples_path) != key
     if missing:
-        write_atomically(samples_path, _sample_bytes(task, key))
+        write_whole(samples_path, _sample_bytes(task, key))
     return ShardFiles(
         hand=task.hand,
         object=task.object,

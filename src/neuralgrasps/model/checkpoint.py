@@ -15,8 +15,8 @@ from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
 import neuralgrasps
-from neuralgrasps.dataset.schema import write_atomically
 from neuralgrasps.errors import DataFormatError, unknown_name
+from neuralgrasps.files import write_whole
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.model.codes import CODE_SIZE, CodeBook, HandCodec, ObjectCodec
 from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField
@@ -60,13 +60,18 @@ def save_run(folder: str | Path, result: TrainResult) -> Path:
         "hands": list(field.hand_codecs),
         "objects": list(field.object_codecs),
         "radius_m": [codec.radius_m for codec in field.object_codecs.values()],
-        "decoder": None if field.decoder is None else {"hands": list(field.decoder.hands), **asdict(field.decoder.config)},
+        "decoder": None
+        if field.decoder is None
+        else {"hands": list(field.decoder.hands), **asdict(field.decoder.config)},
         "codebook": {"hands": list(book.hands), "objects": list(book.objects)},
-        "sha256": {FIELD_FILE: hashlib.sha256(field_bytes).hexdigest(), CODES_FILE: hashlib.sha256(code_bytes).hexdigest()},
+        "sha256": {
+            FIELD_FILE: hashlib.sha256(field_bytes).hexdigest(),
+            CODES_FILE: hashlib.sha256(code_bytes).hexdigest(),
+        },
     }
-    write_atomically(folder / FIELD_FILE, field_bytes)
-    write_atomically(folder / CODES_FILE, code_bytes)
-    write_atomically(folder / RUN_FILE, (json.dumps(run, indent=1, sort_keys=True) + "\n").encode())
+    write_whole(folder / FIELD_FILE, field_bytes)
+    write_whole(folder / CODES_FILE, code_bytes)
+    write_whole(folder / RUN_FILE, (json.dumps(run, indent=1, sort_keys=True) + "\n").encode())
     return folder
 
 

@@ -109,9 +109,15 @@ def _normal_equations(packed, points_O, material, X_OH, q, q_prior, width, cover
         _to_hand(X_OH, points_O[m, 0], points_O[m, 1], points_O[m, 2], p)
         x, y, z = p[0], p[1], p[2]
         r, part = nearest_part(packed, X_HL, x, y, z)
-        n[0] = part_distance_H(packed, X_HL, part, x + _STEP, y, z) - part_distance_H(packed, X_HL, part, x - _STEP, y, z)
-        n[1] = part_distance_H(packed, X_HL, part, x, y + _STEP, z) - part_distance_H(packed, X_HL, part, x, y - _STEP, z)
-        n[2] = part_distance_H(packed, X_HL, part, x, y, z + _STEP) - part_distance_H(packed, X_HL, part, x, y, z - _STEP)
+        n[0] = part_distance_H(packed, X_HL, part, x + _STEP, y, z) - part_distance_H(
+            packed, X_HL, part, x - _STEP, y, z
+        )
+        n[1] = part_distance_H(packed, X_HL, part, x, y + _STEP, z) - part_distance_H(
+            packed, X_HL, part, x, y - _STEP, z
+        )
+        n[2] = part_distance_H(packed, X_HL, part, x, y, z + _STEP) - part_distance_H(
+            packed, X_HL, part, x, y, z - _STEP
+        )
         n /= -2.0 * _STEP  # the point is fixed in the world: it moves against the hand
         link = packed.part_link[part]
         point_jacobian(packed.parents, packed.joint_types, packed.axes, packed.coupling, X_HL, link, p, J)
@@ -159,7 +165,11 @@ def _moved(X, step, out):  # type: ignore[no-untyped-def]
     a = math.sin(angle) / angle if angle > 1e-12 else 1.0
     c = (1.0 - math.cos(angle)) / (angle * angle) if angle > 1e-6 else 0.5
     R = np.empty((3, 3))
-    R[0, 0], R[1, 1], R[2, 2] = 1.0 - c * (wy * wy + wz * wz), 1.0 - c * (wx * wx + wz * wz), 1.0 - c * (wx * wx + wy * wy)
+    R[0, 0], R[1, 1], R[2, 2] = (
+        1.0 - c * (wy * wy + wz * wz),
+        1.0 - c * (wx * wx + wz * wz),
+        1.0 - c * (wx * wx + wy * wy),
+    )
     R[0, 1], R[1, 0] = c * wx * wy - a * wz, c * wx * wy + a * wz
     R[0, 2], R[2, 0] = c * wx * wz + a * wy, c * wx * wz - a * wy
     R[1, 2], R[2, 1] = c * wy * wz - a * wx, c * wy * wz + a * wx

@@ -3,12 +3,12 @@
 Two levels. `encode_points` gives the contact block alone, straight from the points: enough to
 retrieve. `infer_grasps` also finds the hand's pose and joints by fitting its exact distance to the points
 from many starts, and recomputes the contact block from the fitted hand: the estimate with the highest posterior
-under a robust point noise and a weak prior on posture. Encoding known joints (`KinematicField.encode`) is not inference.
+under a robust point noise and a weak prior on posture. Encoding known joints (`KinematicField.encode`) is no inference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,9 +18,10 @@ from scipy.spatial import KDTree
 from neuralgrasps.dataset.hand_surface import packed_link_poses
 from neuralgrasps.dataset.samples import closeness, hand_distances
 from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.geometry.rotation import exp_so3
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.hands.packed import PackedHand
-from neuralgrasps.model.codes import CODE_SIZE, CONTACT_BLOCK, CodeBook, join_codes
+from neuralgrasps.model.codes import CODE_SIZE, CONTACT_BLOCK, CodeBook
 from neuralgrasps.model.hand_fit import fit_cost, fit_hand, score_starts
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.seeds import child_rng
@@ -39,7 +40,11 @@ class InferConfig:
         coverage: weight of "every part of the hand has an observed point near it" in the first stage; set it to 0
             for a partial view.
         posture_prior_m: how far (rms metres of the points) one full joint range off the start counts.
-        converged_m: largest median point distance that counts as a fit.
+        rounds: at most; later ones start from random variations, and only while no fit is good.
+        variations: random starts scored per later round; vary_rad, vary_m, vary_joint: their spread (joints: share of
+            range).
+        good_m: mean point distance at which the search stops; set it above the noise of the points.
+        converged_m: largest mean point distance that counts as a fit.
     """
 
     points: int = 512
@@ -51,11 +56,17 @@ class InferConfig:
     width_m: float = 0.003
     coverage: float = 1.0
     posture_prior_m: float = 0.001
-    converged_m: float = 0.002
+    rounds: int = 6
+    variations: int = 192
+    vary_rad: float = 1.5
+    vary_m: float = 0.01
+    vary_joint: float = 0.25
+    good_m: float = 0.0005
+    converged_m: float = 0.0015
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("points", "coarse_points", "starts", "finalists"):
+        for name in ("points", "coarse_points", "starts", "finalists", "rounds", "variations"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 1.")
 
@@ -67,7 +78,7 @@ class InferResult:
     Attributes:
         codes: their codes; contact maps are those of the fitted hands.
         X_OH: (N, 4, 4) hand base in the object frame; q: (N, J) joints.
-        residual_m: (N,) median |distance| of the observed points to the fitted hand, metres.
+        residual_m: (N,) mean |distance| of the observed points to the fitted hand, metres.
         converged: (N,) bool, the solver stopped by itself and the residual is within `InferConfig.converged_m`.
         seed: of the start perturbations.
     """
@@ -94,7 +105,10 @@ def encode_points(
     """
     points, codec = field.object(object_name).points_O, field.object_codecs[object_name]
     maps = np.stack(
-        [closeness(KDTree(_checked(cloud, i)).query(points)[0], codec.radius_m) for i, cloud in enumerate(hand_points_O)]
+        [
+            closeness(KDTree(_checked(cloud, i)).query(points)[0], codec.radius_m)
+            for i, cloud in enumerate(hand_points_O)
+        ]
     )
     values = np.full((len(maps), CODE_SIZE), np.nan, np.float32)
     values[:, CONTACT_BLOCK] = maps[:, codec.anchor_index]
@@ -200,40 +214,75 @@ class _Fit:
     X_OH: np.ndarray
     q: np.ndarray
     residual_m: float
+    cost: float
     stopped: bool
 
 
 def _fit_cloud(
-    packed: PackedHand, cloud_O: np.ndarray, starts: Starts, config: InferConfig, rng: np.random.Generator
+    packed: PackedHand, cloud_O: np.ndarray, gallery: Starts, config: InferConfig, rng: np.random.Generator
 ) -> _Fit:
-    """Score all starts, improve the best roughly, refine the best of those to the end, keep the best fit."""
+    """Rounds of fits until one is good: first from the gallery's grasps, then from random variations of them."""
     cloud = rng.permutation(cloud_O)
-    fine, coarse = cloud[: config.points], cloud[: config.coarse_points]
     material = material_points(packed)
-    prior = config.posture_prior_m**2
-    wide = 10.0 * config.width_m
-    if config.coverage > 0.0:
-        starts = _with_centred(packed, starts, material, cloud)
+    best: _Fit | None = None
+    for turn in range(config.rounds):
+        starts = gallery if turn == 0 else _varied(packed, gallery, best, config, rng)
+        if config.coverage > 0.0:
+            starts = _with_centred(packed, starts, material, cloud, keep=turn == 0)
+        for fit in _fit_starts(packed, cloud, material, starts, config):
+            if best is None or fit.cost < best.cost:
+                best = fit
+            if best.residual_m <= config.good_m:
+                return best
+    assert best is not None
+    return best
+
+
+def _fit_starts(
+    packed: PackedHand, cloud: np.ndarray, material: np.ndarray, starts: Starts, config: InferConfig
+) -> Iterator[_Fit]:
+    """Score all starts, improve the best roughly, refine the best of those to the end, one after the other."""
+    fine, coarse = cloud[: config.points], cloud[: config.coarse_points]
+    prior, wide = config.posture_prior_m**2, 10.0 * config.width_m
     score = np.empty(len(starts.q))
     score_starts(packed, coarse, material, starts.X_OH, starts.q, wide, config.coverage, score)
-    tried: list[tuple[float, np.ndarray, np.ndarray]] = []
+    rough: list[tuple[float, np.ndarray, np.ndarray]] = []
     for i in np.argsort(score, kind="stable")[: config.starts]:
         X, q = starts.X_OH[i].copy(), starts.q[i].copy()
-        cost, _, _ = fit_hand(
+        cost = fit_hand(
             packed, coarse, material, X, q, q.copy(), config.coarse_iterations, wide, config.coverage, prior
+        )[0]
+        rough.append((cost, X, q))
+    rough.sort(key=lambda t: t[0])
+    for _, X, q in rough[: config.finalists]:
+        stopped = fit_hand(packed, fine, material, X, q, q.copy(), config.fine_iterations, config.width_m, 0.0, prior)[
+            2
+        ]
+        distance = np.abs(hand_distances(packed, X[None], q[None], fine)[0])
+        yield _Fit(
+            X_OH=X,
+            q=q,
+            residual_m=float(distance.mean()),
+            cost=fit_cost(packed, fine, material, X, q, q, wide, config.coverage, 0.0),
+            stopped=bool(stopped),
         )
-        tried.append((cost, X, q))
-    tried.sort(key=lambda t: t[0])
-    best: tuple[float, np.ndarray, np.ndarray, bool] | None = None
-    for _, X, q in tried[: config.finalists]:
-        _, _, stopped = fit_hand(packed, fine, material, X, q, q.copy(), config.fine_iterations, config.width_m, 0.0, prior)
-        cost = fit_cost(packed, fine, material, X, q, q, config.width_m, config.coverage, 0.0)
-        if best is None or cost < best[0]:
-            best = (cost, X, q, stopped)
-    assert best is not None
-    _, X, q, stopped = best
-    distance = np.abs(hand_distances(packed, X[None], q[None], fine)[0])
-    return _Fit(X_OH=X, q=q, residual_m=float(np.median(distance)), stopped=bool(stopped))
+
+
+def _varied(
+    packed: PackedHand, gallery: Starts, best: _Fit | None, config: InferConfig, rng: np.random.Generator
+) -> Starts:
+    """Random turns of the palm and random changes of posture, half of the gallery's grasps, half of the best fit."""
+    count = config.variations
+    chosen = rng.integers(len(gallery.q), size=count)
+    X, q = gallery.X_OH[chosen].copy(), gallery.q[chosen].copy()
+    if best is not None:
+        X[: count // 2], q[: count // 2] = best.X_OH, best.q
+    turn = exp_so3(torch.as_tensor(rng.normal(scale=config.vary_rad, size=(count, 3)))).numpy()
+    X[:, :3, :3] = X[:, :3, :3] @ turn
+    X[:, :3, 3] += rng.normal(scale=config.vary_m, size=(count, 3))
+    span = packed.upper - packed.lower
+    q = np.clip(q + rng.normal(scale=config.vary_joint, size=q.shape) * span, packed.lower, packed.upper)
+    return Starts(X_OH=X, q=q)
 
 
 def material_points(packed: PackedHand, count: int = 96) -> np.ndarray:
@@ -243,11 +292,15 @@ def material_points(packed: PackedHand, count: int = 96) -> np.ndarray:
     return farthest_points(points_H, min(count, len(points_H)))
 
 
-def _with_centred(packed: PackedHand, starts: Starts, material: np.ndarray, cloud_O: np.ndarray) -> Starts:
-    """The starts, and copies of them moved so that the hand's middle is the cloud's."""
+def _with_centred(
+    packed: PackedHand, starts: Starts, material: np.ndarray, cloud_O: np.ndarray, *, keep: bool
+) -> Starts:
+    """The starts moved so that the hand's middle is the cloud's, and (`keep`) the starts themselves before them."""
     X_centred = starts.X_OH.copy()
     for i, (X, q) in enumerate(zip(starts.X_OH, starts.q, strict=True)):
         X_OL = (X @ packed_link_poses(packed, q))[packed.point_link[material]]
         points_O = np.einsum("kij,kj->ki", X_OL[:, :3, :3], packed.point_L[material]) + X_OL[:, :3, 3]
         X_centred[i, :3, 3] += cloud_O.mean(axis=0) - points_O.mean(axis=0)
+    if not keep:
+        return Starts(X_OH=X_centred, q=starts.q)
     return Starts(X_OH=np.concatenate([starts.X_OH, X_centred]), q=np.concatenate([starts.q, starts.q]))

@@ -149,9 +149,7 @@ class KinematicField:
             contact_maps=maps,
         )
 
-    def decode(
-        self, codes: Tensor, *, hand: str, object_name: str, noise_level: float | Tensor = 0.0
-    ) -> DecodedGrasps:
+    def decode(self, codes: Tensor, *, hand: str, object_name: str, noise_level: float | Tensor = 0.0) -> DecodedGrasps:
         """Grasps of codes (N, 128) of one hand and object; differentiable in the codes.
 
         Args:

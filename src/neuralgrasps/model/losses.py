@@ -53,7 +53,9 @@ def clamped_l1(predicted: Tensor, true: Tensor, *, clamp: float) -> Tensor:
     return (predicted - true.clamp(-clamp, clamp)).abs().mean()
 
 
-def variable_margin_triplet(codes: Tensor, contact_maps: Tensor, anchor: Tensor, first: Tensor, second: Tensor) -> Tensor:
+def variable_margin_triplet(
+    codes: Tensor, contact_maps: Tensor, anchor: Tensor, first: Tensor, second: Tensor
+) -> Tensor:
     """Triplet loss whose margin is the difference of the contact-map distances (scalar).
 
     Of the two others, the one with the nearer contact map is the positive, so the margin is not negative.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -58,7 +58,7 @@ class TrainConfig:
     jitter_m: float = 0.01
     jitter_rad: float = 0.1
     jitter_joint: float = 0.05
-    decoder: DecoderConfig = DecoderConfig()
+    decoder: DecoderConfig = field(default_factory=DecoderConfig)
 
     def __post_init__(self) -> None:
         if self.steps < 0 or self.batch < 1 or self.variants < 0:
@@ -230,13 +230,12 @@ def _jittered(
     return X_OP @ np.linalg.inv(codec.X_HP), q
 
 
-def add_noise(
-    codes: Tensor, level: Tensor, *, joints: int, contact_noise: float, generator: torch.Generator
-) -> Tensor:
+def add_noise(codes: Tensor, level: Tensor, *, joints: int, contact_noise: float, generator: torch.Generator) -> Tensor:
     """Codes (N, 128) off by about `level` (N,): palm moved and turned, posture and contact blocks shifted.
 
     The palm's rotation stays a rotation. Of the posture block only the columns in use, `joints`, are shifted.
     """
+
     def normal(columns: int) -> Tensor:
         return torch.randn(len(codes), columns, generator=generator, dtype=codes.dtype) * level[:, None]
 
@@ -288,9 +287,7 @@ def _hand_loss(
     low, high = np.log(config.noise_min), np.log(config.noise_max)
     level = torch.exp(low + (high - low) * torch.rand(config.batch, generator=generator))
     joints = min(codec.num_joints, codec.basis.shape[1])
-    noisy = add_noise(
-        data.codes[chosen], level, joints=joints, contact_noise=config.contact_noise, generator=generator
-    )
+    noisy = add_noise(data.codes[chosen], level, joints=joints, contact_noise=config.contact_noise, generator=generator)
     objects = list(field.object_codecs.values())
     descriptors = torch.as_tensor(np.stack([o.descriptor for o in objects]), dtype=noisy.dtype)
     offsets = torch.as_tensor(np.stack([o.offset_O for o in objects]), dtype=noisy.dtype)
