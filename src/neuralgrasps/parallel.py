@@ -5,15 +5,20 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing.connection import wait as wait_for
 from typing import Any
 
 from neuralgrasps.errors import InputError, NeuralGraspsError
 
 # Each worker is one process with one thread: libraries must not start more.
-_ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")}
+_ONE_THREAD = {
+    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+}
 
 
 class WorkerDiedError(NeuralGraspsError, RuntimeError):
@@ -25,9 +30,33 @@ def available_cpus() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-def _ignore_interrupts() -> None:
+def _start_worker() -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides what happens then.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for tasks for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait_for([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """What is started inside inherits an environment that asks numerical libraries for one thread."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 def run_tasks(
@@ -35,8 +64,8 @@ def run_tasks(
 ) -> Iterator[tuple[int, Any]]:
     """Yield (index of the task, `function(*task)`) as tasks finish.
 
-    Workers are spawned, never forked (compiled code with threads does not survive a fork). With `workers=1` everything runs in this
-    process. `function` must be importable and the tasks picklable. When the caller stops early or is interrupted,
+    Workers are spawned, never forked (compiled code with threads does not survive a fork). With `workers=1`
+    everything runs in this process. `function` must be importable and the tasks picklable. When the caller stops early or is interrupted,
     waiting tasks are dropped and running workers are ended.
 
     Raises:
@@ -50,26 +79,22 @@ def run_tasks(
         for index, task in enumerate(tasks):
             yield index, function(*task)
         return
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
     pool = ProcessPoolExecutor(
-        min(workers, len(tasks)), mp_context=multiprocessing.get_context("spawn"), initializer=_ignore_interrupts
+        min(workers, len(tasks)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
     )
     waiting: dict[Any, int] = {}
     try:
-        waiting = {pool.submit(function, *task): index for index, task in enumerate(tasks)}
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        with _one_thread_each():
+            for index, task in enumerate(tasks):
+                waiting[pool.submit(function, *task)] = index
         while waiting:
             done, _ = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
                 yield waiting.pop(future), future.result()
     except BrokenProcessPool as error:
         raise WorkerDiedError(
-            "a worker process ended without an answer, most often for lack of memory. Try fewer workers (--workers 1)."
+            "a worker process ended without an answer. Most often memory ran out: try fewer workers (--workers 1). In "
+            "a script of your own, call this below `if __name__ == '__main__':`, for every worker imports that script."
         ) from error
     finally:
         for process in list((pool._processes or {}).values()):

@@ -20,9 +20,7 @@ def test_a_box_rests_on_its_six_faces_with_shares_by_solid_angle():
     X_WO, share = resting_poses(box_mesh(HALF).vertices, np.zeros(3))
     assert len(X_WO) == 6
     heights = X_WO[:, 2, 3]
-    expected = {
-        h: _solid_angle(*(x for x in HALF if x != h), h) / (4 * np.pi) for h in HALF
-    }
+    expected = {h: _solid_angle(*(x for x in HALF if x != h), h) / (4 * np.pi) for h in HALF}
     for h, s in zip(heights, share, strict=True):
         nearest = HALF[np.abs(HALF - h).argmin()]
         assert h == pytest.approx(nearest, abs=1e-9)
@@ -97,5 +95,8 @@ def test_the_object_frame_does_not_matter():
     first, share = resting_poses(vertices, np.array([0.002, 0.001, 0.0]))
     other, other_share = resting_poses(vertices @ X.T + shift, X @ [0.002, 0.001, 0.0] + shift)
     np.testing.assert_allclose(np.sort(share), np.sort(other_share), atol=1e-9)
-    np.testing.assert_allclose(np.sort(first[:, 2, 3] + first[:, 2, :3] @ [0.002, 0.001, 0.0]),
-                               np.sort(other[:, 2, 3] + other[:, 2, :3] @ (X @ [0.002, 0.001, 0.0] + shift)), atol=1e-9)
+    np.testing.assert_allclose(
+        np.sort(first[:, 2, 3] + first[:, 2, :3] @ [0.002, 0.001, 0.0]),
+        np.sort(other[:, 2, 3] + other[:, 2, :3] @ (X @ [0.002, 0.001, 0.0] + shift)),
+        atol=1e-9,
+    )

@@ -1,7 +1,7 @@
 """6D pose of a known object from the points of one depth view, by its signed distance.
 
-Thousands of rotations are scored at once, the best are polished by Levenberg-Marquardt on SE(3) with a robust loss, and the
-rest is decided by free space: a model surface where the camera saw farther is evidence against a pose.
+Thousands of rotations are scored at once, the best are polished by Levenberg-Marquardt on SE(3) with a robust loss,
+and the rest is decided by free space: a model surface where the camera saw farther is evidence against a pose.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy import ndimage
 
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.camera import Intrinsics
@@ -90,9 +91,10 @@ def estimate_pose(
         intrinsics: camera of `depth`; both or neither.
         config: knobs; seed: of the subsampling.
     Raises:
-        InputError: fewer than 20 finite points, or a depth image without intrinsics.
+        InputError: fewer than 20 finite points, or a depth image without intrinsics or of another size.
     Source:
-        The multi-start search replaces the 45-degree grid and single descent of Khargonkar et al. 2022, Eq. 1 (supplement).
+        The multi-start search replaces the 45-degree grid and single descent of Khargonkar et al. 2022, Eq. 1 of the
+        supplement.
     """
     config = config or PoseConfig()
     check_shape("points_C", np.shape(points_C), (3,))
@@ -102,6 +104,10 @@ def estimate_pose(
         raise InputError(f"{len(points_C)} finite points were observed; expected at least 20 on the object.")
     if (depth is None) != (intrinsics is None):
         raise InputError("free space needs both `depth` and `intrinsics`; got only one of them.")
+    if depth is not None and intrinsics is not None and np.shape(depth) != (intrinsics.height, intrinsics.width):
+        raise InputError(
+            f"depth has shape {np.shape(depth)}; the camera's images are {intrinsics.height} x {intrinsics.width}."
+        )
     rng = child_rng(seed, "pose")
     sdf = (obj.sdf.values, obj.sdf.origin, obj.sdf.inv_spacing)
     radius = float(np.linalg.norm(obj.points_O - obj.com_O, axis=1).max())
@@ -147,8 +153,9 @@ def free_space_violation(
 ) -> np.ndarray:
     """How far, on average, a posed model sticks out of what the camera saw, metres.
 
-    For every camera-facing surface point: measured depth minus its own, less `margin_m`, between 0 and `clip_m`.
-    Points behind the measured surface, outside the image or without a measurement count 0.
+    For every camera-facing surface point: measured depth minus its own, less `margin_m`, between 0 and `clip_m`. The
+    nearest measurement among its pixel and the eight around it counts, for at the object's outline the pixel itself may
+    see past it. Points behind the measured surface, outside the image or without a measurement count 0.
 
     Args:
         X_CO: (N, 4, 4) poses; depth: (h, w) z-depth, metres.
@@ -156,9 +163,12 @@ def free_space_violation(
         (N,) float64.
     """
     out = np.zeros(len(X_CO))
+    measured = np.asarray(depth, np.float64)
+    measured = np.where(measured > 0.0, measured, np.inf)  # also drops nan
+    nearest = np.where(np.isfinite(measured), ndimage.minimum_filter(measured, size=3, mode="nearest"), 0.0)
     _free_space(
         np.ascontiguousarray(obj.points_O), np.ascontiguousarray(obj.normals_O), np.ascontiguousarray(X_CO),
-        np.ascontiguousarray(depth, np.float64), intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy,
+        nearest, intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy,
         margin_m, clip_m, out,
     )  # fmt: skip
     return out
@@ -350,7 +360,7 @@ def _free_space(points, normals, X_CO, depth, fx, fy, cx, cy, margin, clip, out)
             if row < 0 or column < 0 or row >= height or column >= width:
                 continue
             measured = depth[row, column]
-            if not (measured > 0.0) or measured == np.inf:
+            if measured == 0.0:
                 continue
             total += min(max(measured - z - margin, 0.0), clip)
         out[n] = total / max(facing, 1)

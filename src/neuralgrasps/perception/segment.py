@@ -42,11 +42,21 @@ def segment_above_table(
     points_W = pixel_rays(intrinsics) * np.where(valid, z, 0.0)[..., None] @ X_WC[:3, :3].T + X_WC[:3, 3]
     height = points_W[..., 2] - table_z_m
     above = valid & (height > min_height_m) & (height < max_height_m)
-    # a depth jump separates regions that touch in the image
-    jump = np.zeros_like(above)
-    jump[:, 1:] |= (np.abs(np.diff(z, axis=1)) > JUMP_M) & valid[:, 1:] & valid[:, :-1]
-    jump[1:] |= (np.abs(np.diff(z, axis=0)) > JUMP_M) & valid[1:] & valid[:-1]
+    jump = _jumps(np.where(valid, z, np.nan))
     # 8-neighbours, so that single lost pixels do not cut a region
     labels, count = ndimage.label(above & ~jump, structure=np.ones((3, 3)))
     sizes = ndimage.sum_labels(above, labels, np.arange(1, count + 1)) if count else np.zeros(0)
     return [labels == i + 1 for i in np.argsort(-sizes, kind="stable") if sizes[i] >= min_pixels]
+
+
+def _jumps(z: np.ndarray) -> np.ndarray:
+    """Pixels whose depth differs by more than `JUMP_M` from a neighbour before them; nan jumps to nothing.
+
+    Diagonal neighbours count too: regions are joined by them, and would leak through a slanted edge.
+    """
+    jump = np.zeros(z.shape, bool)
+    jump[:, 1:] |= np.abs(z[:, 1:] - z[:, :-1]) > JUMP_M
+    jump[1:] |= np.abs(z[1:] - z[:-1]) > JUMP_M
+    jump[1:, 1:] |= np.abs(z[1:, 1:] - z[:-1, :-1]) > JUMP_M
+    jump[1:, :-1] |= np.abs(z[1:, :-1] - z[:-1, 1:]) > JUMP_M
+    return jump

@@ -1,0 +1,112 @@
+"""Tasks on worker processes: order, errors, early ends and deaths."""
+
+from __future__ import annotations
+
+import math
+import operator
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import psutil
+import pytest
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.parallel import WorkerDiedError, available_cpus, run_tasks
+
+# Workers can import only what is installed, so the tasks are functions of the standard library.
+
+
+def _workers() -> list[psutil.Process]:
+    me = psutil.Process()
+    return [p for p in me.children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
+
+
+@pytest.mark.parametrize("workers", [1, 2, 3])
+def test_every_task_is_answered_once_whatever_the_worker_count(workers):
+    tasks = [(float(i),) for i in range(7)]
+    answers = dict(run_tasks(math.sqrt, tasks, workers=workers))
+    assert answers == {i: math.sqrt(i) for i in range(7)}
+
+
+def test_no_tasks_give_nothing():
+    assert list(run_tasks(math.sqrt, [], workers=3)) == []
+
+
+def test_workers_default_to_the_processors_this_process_may_use():
+    assert 1 <= available_cpus() <= (os.cpu_count() or 1)
+
+
+@pytest.mark.parametrize("workers", [0, -2])
+def test_worker_count_below_one_is_refused(workers):
+    with pytest.raises(InputError, match=f"workers is {workers}"):
+        list(run_tasks(math.sqrt, [(1.0,)], workers=workers))
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_exception_of_a_task_reaches_the_caller(workers):
+    with pytest.raises(ValueError, match="math domain error"):
+        list(run_tasks(math.sqrt, [(4.0,), (-1.0,), (9.0,)], workers=workers))
+    assert _workers() == []
+
+
+def test_closing_early_ends_the_workers_at_once():
+    tasks = run_tasks(time.sleep, [(0.0,), (600.0,), (600.0,)], workers=2)
+    assert next(tasks) == (0, None)
+    tasks.close()
+    assert _workers() == []
+
+
+def test_a_killed_worker_is_reported_as_such():
+    with pytest.raises(WorkerDiedError, match="memory ran out"):
+        list(run_tasks(os._exit, [(3,), (3,)], workers=2))
+    assert _workers() == []
+
+
+def test_workers_use_one_thread_and_leave_the_environment_as_it_was(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    seen = dict(run_tasks(os.getenv, [("OMP_NUM_THREADS",), ("MKL_NUM_THREADS",)], workers=2))
+    assert seen == {0: "1", 1: "1"}
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
+def test_the_environment_is_restored_when_a_task_cannot_be_started(monkeypatch):
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    with pytest.raises(TypeError):
+        list(run_tasks(math.sqrt, [(1.0,), 2.0], workers=2))  # the second task is no tuple
+    assert "MKL_NUM_THREADS" not in os.environ
+    assert _workers() == []
+
+
+def test_workers_ignore_an_interrupt_that_the_parent_decides_about():
+    seen = dict(run_tasks(signal.getsignal, [(signal.SIGINT,), (signal.SIGINT,)], workers=2))
+    assert set(seen.values()) == {signal.SIG_IGN}
+
+
+def test_workers_end_with_a_killed_parent():
+    script = (
+        "import time\nfrom neuralgrasps.parallel import run_tasks\n"
+        "if __name__ == '__main__':\n"
+        "    for _ in run_tasks(time.sleep, [(0.0,), (600.0,), (600.0,)], workers=2):\n"
+        "        print('up', flush=True)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None and parent.stdout.readline() == "up\n"
+    children = [p for p in psutil.Process(parent.pid).children() if "spawn_main" in " ".join(p.cmdline())]
+    assert len(children) == 2
+    parent.kill()
+    parent.wait()
+    _, alive = psutil.wait_procs(children, timeout=20)
+    parent.stdout.close()
+    for process in alive:
+        process.kill()
+    assert alive == []
+
+
+def test_results_do_not_depend_on_the_order_of_completion():
+    answers = list(run_tasks(operator.mul, [(i, i) for i in range(20)], workers=2))
+    assert sorted(answers) == [(i, i * i) for i in range(20)]
