@@ -115,6 +115,8 @@ def _read_triangles(path: Path) -> tuple[NDArray[Any], NDArray[Any]]:
             loaded: Any = trimesh.load(path, process=False, maintain_order=True, skip_materials=True)
             if isinstance(loaded, trimesh.Scene):
                 loaded = loaded.to_geometry() if loaded.geometry else None
+    except ImportError as error:  # the reader took it for text of another encoding, or of an unusual dialect
+        raise MeshError(f"mesh file '{path}' is not a {kind.upper()} file, or is damaged; export it again.") from error
     except Exception as error:  # readers of ten formats raise whatever their parser raises
         raise MeshError(f"mesh file '{path}' cannot be read as {kind.upper()}: {_first_line(error)}") from error
     faces = getattr(loaded, "faces", None)

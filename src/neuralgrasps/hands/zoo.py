@@ -93,7 +93,7 @@ def load_robot(path: str | Path) -> RobotDescription:
         RobotDescriptionError: the file is neither, or cannot be used.
     """
     path = Path(path)
-    root = read_xml(path, root_tag=None, kind="robot file").tag
+    root = read_xml(path, root_tag=None, kind="robot").tag
     if root == "robot":
         return load_urdf(path)
     if root == "mujoco":
