@@ -1,3 +1,138 @@
-"""Grasping with any robot hand."""
+"""Grasping with any robot hand: synthesis proven in physics, one latent space for all hands, pose and transfer.
+
+The names below are loaded when they are first used, so `import neuralgrasps` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from neuralgrasps.errors import (
+    DataFormatError,
+    DownloadError,
+    InputError,
+    MeshError,
+    NeuralGraspsError,
+    RobotDescriptionError,
+    ShapeError,
+    StorageError,
+    UnknownNameError,
+)
+
+if TYPE_CHECKING:
+    from neuralgrasps.apply.retrieve import retrieve
+    from neuralgrasps.dataset.build import build_dataset
+    from neuralgrasps.dataset.collect import collect_grasps
+    from neuralgrasps.dataset.read import GraspDataset, read_dataset
+    from neuralgrasps.dataset.schema import DatasetConfig
+    from neuralgrasps.dataset.verify import verify_dataset
+    from neuralgrasps.geometry.camera import Intrinsics
+    from neuralgrasps.grasps.contact_map import contact_map
+    from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
+    from neuralgrasps.grasps.grasp_set import GraspSet
+    from neuralgrasps.hands.hand import Hand
+    from neuralgrasps.hands.zoo import hand_names, load_hand
+    from neuralgrasps.model.checkpoint import load_run, save_run
+    from neuralgrasps.model.kinematic_field import KinematicField
+    from neuralgrasps.model.train import TrainConfig, train
+    from neuralgrasps.objects.object_model import ObjectModel
+    from neuralgrasps.objects.ycb import download_ycb, import_object
+    from neuralgrasps.objects.zoo import load_object, object_names
+    from neuralgrasps.perception.pose import PoseConfig, estimate_pose
+    from neuralgrasps.report.page import write_report
+    from neuralgrasps.sim.grasp_trial import validate_grasps
+    from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "DatasetConfig": "dataset.schema",
+    "GraspDataset": "dataset.read",
+    "GraspSet": "grasps.grasp_set",
+    "Hand": "hands.hand",
+    "Intrinsics": "geometry.camera",
+    "KinematicField": "model.kinematic_field",
+    "ObjectModel": "objects.object_model",
+    "PoseConfig": "perception.pose",
+    "SynthesisConfig": "synthesis.synthesise",
+    "TrainConfig": "model.train",
+    "build_dataset": "dataset.build",
+    "collect_grasps": "dataset.collect",
+    "contact_map": "grasps.contact_map",
+    "download_ycb": "objects.ycb",
+    "estimate_pose": "perception.pose",
+    "hand_names": "hands.zoo",
+    "import_object": "objects.ycb",
+    "load_grasps": "grasps.grasp_io",
+    "load_hand": "hands.zoo",
+    "load_object": "objects.zoo",
+    "load_run": "model.checkpoint",
+    "object_names": "objects.zoo",
+    "read_dataset": "dataset.read",
+    "retrieve": "apply.retrieve",
+    "save_grasps": "grasps.grasp_io",
+    "save_run": "model.checkpoint",
+    "synthesise": "synthesis.synthesise",
+    "train": "model.train",
+    "validate_grasps": "sim.grasp_trial",
+    "verify_dataset": "dataset.verify",
+    "write_report": "report.page",
+}
+
+__all__ = [
+    "DataFormatError",
+    "DatasetConfig",
+    "DownloadError",
+    "GraspDataset",
+    "GraspSet",
+    "Hand",
+    "InputError",
+    "Intrinsics",
+    "KinematicField",
+    "MeshError",
+    "NeuralGraspsError",
+    "ObjectModel",
+    "PoseConfig",
+    "RobotDescriptionError",
+    "ShapeError",
+    "StorageError",
+    "SynthesisConfig",
+    "TrainConfig",
+    "UnknownNameError",
+    "__version__",
+    "build_dataset",
+    "collect_grasps",
+    "contact_map",
+    "download_ycb",
+    "estimate_pose",
+    "hand_names",
+    "import_object",
+    "load_grasps",
+    "load_hand",
+    "load_object",
+    "load_run",
+    "object_names",
+    "read_dataset",
+    "retrieve",
+    "save_grasps",
+    "save_run",
+    "synthesise",
+    "train",
+    "validate_grasps",
+    "verify_dataset",
+    "write_report",
+]
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module 'neuralgrasps' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"neuralgrasps.{home}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

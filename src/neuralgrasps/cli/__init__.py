@@ -1,0 +1,1 @@
+"""The `neuralgrasps` command: one file per verb."""

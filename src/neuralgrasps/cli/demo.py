@@ -1,0 +1,48 @@
+"""`neuralgrasps demo`: the whole path once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from neuralgrasps.cli.options import AllNames, Folder, Names, OptionalFolder, Workers
+from neuralgrasps.cli.outputs import check_writable
+from neuralgrasps.cli.terminal import Outcome, Terminal
+
+
+def demo(
+    terminal: Terminal,
+    /,
+    *,
+    objects: Names = ("cracker_box", "tomato_soup_can", "mustard_bottle"),
+    objects_dir: OptionalFolder = None,
+    hands: AllNames = (),
+    count: int = 24,
+    seed: int = 0,
+    workers: Workers = None,
+    out: Folder = Path("out"),
+) -> Outcome:
+    """Run the whole path once: grasps, dataset, latent space, retrieval, object poses, and a page that shows it all.
+
+    Args:
+        objects: names, or mesh files.
+        objects_dir: take all meshes of a folder instead.
+        hands: names, or URDF or MJCF files; default the five built-in hands.
+        count: grasps per hand and object.
+        seed: the same seed gives the same result.
+        workers: processes.
+        out: folder for report.html and everything that was made.
+    """
+    from neuralgrasps.demo.run import DemoConfig, run_demo
+
+    check_writable(out, folder=True)
+    chosen = {"hands": tuple(hands)} if hands else {}
+    config = DemoConfig(
+        objects=tuple(objects), objects_dir=objects_dir, count=count, seed=seed, workers=workers, out=out, **chosen
+    )
+    terminal.kept = f"Finished grasps are kept in '{out}'; the same command goes on from there."
+    with terminal.progress("demo") as bar:
+        result = run_demo(config, progress=bar.stage)
+    terminal.say()
+    terminal.notes(result.summary)
+    terminal.say(f"\nReport: {result.report_path}")
+    return Outcome(result={"report": str(result.report_path), **result.figures})

@@ -1,0 +1,189 @@
+"""`neuralgrasps evaluate`: tables on a trained run, a dataset, or grasp files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from neuralgrasps.cli.dataset import read_grasp_files
+from neuralgrasps.cli.models import dataset_hands, dataset_objects, open_hands, open_objects, run_objects
+from neuralgrasps.cli.options import Names, PositionalFolder
+from neuralgrasps.cli.terminal import Outcome, Terminal
+from neuralgrasps.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from neuralgrasps.grasps.grasp_set import GraspSet
+    from neuralgrasps.hands.hand import Hand
+    from neuralgrasps.model.checkpoint import Run
+    from neuralgrasps.objects.object_model import ObjectModel
+
+
+def evaluate(terminal: Terminal, path: PositionalFolder, /, *, hands: Names = (), objects: Names = ()) -> Outcome:
+    """Measure a trained run, a dataset, or grasp files.
+
+    A run: how similar the grasps are that its codes find for grasps it was not trained on (1 = the same contacts),
+    beside the best and worst there are. A dataset or grasps: quality of the grasps, measured against the true mesh.
+
+    Args:
+        path: folder of a run or dataset, or a grasp file or folder of them.
+        hands: files of hands that are not built in and have moved.
+        objects: files of objects that are not built in and have moved.
+    """
+    if (path / "run.json").is_file():
+        return _evaluate_run(terminal, path, hands, objects)
+    if (path / "manifest.json").is_file():
+        return _evaluate_dataset(terminal, path, hands)
+    if not path.exists():
+        raise InputError(f"'{path}' does not exist; expected a run, a dataset or a grasp file.")
+    return _evaluate_grasps(terminal, path, hands, objects)
+
+
+def open_run(folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Run:
+    """A run with its hands and objects, found where they were when it was made, or given."""
+    import json
+
+    from neuralgrasps.cli.models import hands_of
+    from neuralgrasps.errors import DataFormatError
+    from neuralgrasps.model.checkpoint import RUN_FILE, load_run
+
+    try:
+        names = json.loads((folder / RUN_FILE).read_bytes())
+        hand_names, object_names = list(names["hands"]), list(names["objects"])
+    except FileNotFoundError:
+        raise DataFormatError(f"'{folder}' holds no fitted field: {RUN_FILE} is missing. Train first.") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataFormatError(f"'{folder / RUN_FILE}' is damaged: {error}. Train again.") from error
+    return load_run(
+        folder, hands=hands_of(hand_names, folder, hands), objects=run_objects(folder, object_names, objects)
+    )
+
+
+def _evaluate_run(terminal: Terminal, folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Outcome:
+    from neuralgrasps.evaluate.retrieval import score_codebook
+
+    with terminal.progress("reading the run"):
+        run = open_run(folder, hands, objects)
+    book = run.codebook
+    rows: list[dict[str, Any]] = []
+    for name in book.objects:
+        groups: list[str | None] = [None, *book.hands]
+        for hand in groups:
+            tests = book.where(hand=hand, object_name=name, is_test=True)
+            if not tests.any() or not book.where(hand=hand, object_name=name, is_test=False).any():
+                continue
+            score = score_codebook(book, object_name=name, hand=hand)
+            rows.append(
+                {
+                    "object": name,
+                    "hand": hand or "all",
+                    "queries": score.queries,
+                    "gallery": score.gallery,
+                    "near_code_similarity": score.near_z,
+                    "near_best_similarity": score.near_gt,
+                    "gap": score.gap,
+                    "far_code_similarity": score.far_z,
+                    "far_best_similarity": score.far_gt,
+                    "recall_at_1": score.recall_at[1],
+                    "recall_at_5": score.recall_at[5],
+                }
+            )
+    if not rows:
+        raise InputError(f"'{folder}' holds no test grasps; build its dataset from at least 6 grasps per pair.")
+    columns = ("object", "hand", "n", "found", "best", "gap", "farthest", "R@1", "R@5")
+    keys = ("near_code_similarity", "near_best_similarity", "gap", "far_code_similarity")
+    terminal.say("Contact similarity (1 = same, 0 = most different) of n test grasps to training grasps: of the one")
+    terminal.say(
+        "that the code finds, the best there is, and the farthest by code. R@k: the best is among the first k."
+    )
+    terminal.table(
+        columns,
+        [
+            (r["object"], r["hand"], r["queries"], *(f"{r[k]:.3f}" for k in keys),
+             f"{r['recall_at_1']:.2f}", f"{r['recall_at_5']:.2f}")
+            for r in rows
+        ],
+    )  # fmt: skip
+    whole = [r for r in rows if r["hand"] == "all"]
+    gap = sum(r["gap"] * r["queries"] for r in whole) / sum(r["queries"] for r in whole)
+    terminal.say(f"Below the best possible by {gap:.4f} on average; published method: 0.071.")
+    return Outcome(result={"folder": str(folder), "retrieval": rows, "mean_gap": gap})
+
+
+def _evaluate_dataset(terminal: Terminal, folder: Path, hands: tuple[str, ...]) -> Outcome:
+    from neuralgrasps.dataset.read import read_dataset
+
+    data = read_dataset(folder)
+    with terminal.progress("reading hands and objects"):
+        models, objects = dataset_hands(data, hands), dataset_objects(data)
+    sets = [data.grasps(hand, name) for hand, name in data.pairs]
+    return _quality(terminal, folder, sets, models, objects)
+
+
+def _evaluate_grasps(terminal: Terminal, path: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Outcome:
+    sets, recorded = read_grasp_files([path])
+    given_hands, given_objects = open_hands(hands), open_objects(objects)
+    with terminal.progress("reading hands and objects"):
+        models = dict(given_hands)
+        for name in dict.fromkeys(g.hand for g in sets if g.hand not in given_hands):
+            models |= {name: next(iter(open_hands([recorded["hands"].get(name, name)]).values()))}
+        things = dict(given_objects)
+        for name in dict.fromkeys(g.object for g in sets if g.object not in given_objects):
+            things |= {name: next(iter(open_objects([recorded["objects"].get(name, name)]).values()))}
+    return _quality(terminal, path, sets, models, things)
+
+
+def _quality(
+    terminal: Terminal,
+    path: Path,
+    sets: list[GraspSet],
+    hands: dict[str, Hand],
+    objects: dict[str, ObjectModel],
+) -> Outcome:
+    """Table of what the grasps are worth."""
+    import numpy as np
+
+    from neuralgrasps.evaluate.grasps import measured_penetration
+
+    rows: list[dict[str, Any]] = []
+    with terminal.progress("measuring", "pairs") as bar:
+        for i, grasps in enumerate(sets):
+            if len(grasps):
+                hands[grasps.hand].check_q(grasps.q)
+                depth = measured_penetration(hands[grasps.hand], objects[grasps.object], grasps)
+                rows.append(_pair_quality(grasps, depth))
+            bar(i + 1, len(sets), f"{grasps.hand} on {grasps.object}")
+    if not rows:
+        raise InputError(f"'{path}' holds no grasps.")
+    columns = ("object", "hand", "grasps", "held", "epsilon", "overlap mm", "slip mm")
+    terminal.table(
+        columns,
+        [
+            (r["object"], r["hand"], r["grasps"], f"{100 * r['held_share']:.0f} %", f"{r['epsilon_median']:.3f}",
+             f"{r['penetration_p95_mm']:.2f}", f"{r['displacement_median_mm']:.1f}")
+            for r in rows
+        ],
+    )  # fmt: skip
+    count = sum(r["grasps"] for r in rows)
+    terminal.say(f"{count} grasps. Overlap: 95th percentile, against the true mesh. Others: medians.")
+    worst = float(np.max([r["penetration_p95_mm"] for r in rows]))
+    return Outcome(result={"path": str(path), "grasps": count, "pairs": rows, "worst_penetration_p95_mm": worst})
+
+
+def _pair_quality(grasps: GraspSet, depth_m: np.ndarray) -> dict[str, Any]:
+    import numpy as np
+
+    verdict = grasps.verdicts.get(grasps.protocol)
+    return {
+        "object": grasps.object,
+        "hand": grasps.hand,
+        "grasps": len(grasps),
+        "protocol": grasps.protocol,
+        "held_share": float(grasps.validated.mean()),
+        "epsilon_median": float(np.median(grasps.epsilon)),
+        "contacts_median": float(np.median(grasps.num_contacts)),
+        "penetration_p95_mm": float(np.percentile(depth_m, 95) * 1e3),
+        "displacement_median_mm": float(np.median(verdict.displacement_m) * 1e3) if verdict else float("nan"),
+        "rotation_median_deg": float(np.rad2deg(np.median(verdict.rotation_rad))) if verdict else float("nan"),
+    }

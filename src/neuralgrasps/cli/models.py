@@ -1,0 +1,143 @@
+"""Hands and objects by name or file, and where those of a dataset or run come from."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from neuralgrasps.errors import DataFormatError, InputError, NeuralGraspsError
+from neuralgrasps.files import write_whole
+
+if TYPE_CHECKING:
+    from neuralgrasps.dataset.read import GraspDataset
+    from neuralgrasps.hands.hand import Hand
+    from neuralgrasps.objects.object_model import ObjectModel
+
+SOURCES_FILE = "sources.json"
+
+
+def source_text(spec: str) -> str:
+    """A name as it is, a path made absolute, so that it can be found from another folder."""
+    return str(Path(spec).resolve()) if Path(spec).exists() else spec
+
+
+def open_hands(specs: Sequence[str]) -> dict[str, Hand]:
+    """Hands by their own names, in the order given.
+
+    Raises:
+        InputError: two of them have the same name.
+    """
+    from neuralgrasps.hands.zoo import load_hand
+
+    return _by_name("hand", specs, [load_hand(spec) for spec in specs])
+
+
+def open_objects(specs: Sequence[str], *, unit: str = "auto") -> dict[str, ObjectModel]:
+    """Objects by their own names, in the order given; `unit` is of mesh files.
+
+    Raises:
+        InputError: two of them have the same name.
+    """
+    from neuralgrasps.objects.zoo import load_object
+
+    return _by_name("object", specs, [load_object(spec, unit=unit) for spec in specs])  # type: ignore[arg-type]
+
+
+def _by_name(kind: str, specs: Sequence[str], models: Sequence[Any]) -> dict[str, Any]:
+    named: dict[str, Any] = {}
+    for spec, model in zip(specs, models, strict=True):
+        if model.name in named:
+            raise InputError(f"'{spec}' is the second {kind} named '{model.name}'; give each {kind} once.")
+        named[model.name] = model
+    return named
+
+
+def write_sources(folder: Path, *, hands: Mapping[str, str], objects: Mapping[str, str], dataset: str = "") -> None:
+    """Remember beside a dataset or run which files its hands and objects were read from."""
+    record = {"hands": dict(hands), "objects": dict(objects)} | ({"dataset": dataset} if dataset else {})
+    write_whole(folder / SOURCES_FILE, json.dumps(record, indent=1, sort_keys=True) + "\n")
+
+
+def read_sources(folder: Path) -> dict[str, dict[str, str] | str]:
+    """What `write_sources` wrote; nothing when it is missing or damaged (names are then looked up as they are)."""
+    try:
+        record = json.loads((folder / SOURCES_FILE).read_text(encoding="utf-8"))
+        return record if isinstance(record, dict) else {}
+    except (OSError, ValueError):
+        return {}
+
+
+def hands_of(names: Sequence[str], folder: Path, given: Sequence[str]) -> dict[str, Hand]:
+    """The named hands: from `given` names or files, else from where they were read when `folder` was made.
+
+    Raises:
+        InputError: one cannot be found; the message says how to give it.
+    """
+    from neuralgrasps.hands.zoo import load_hand
+
+    known = open_hands(given)
+    recorded = read_sources(folder).get("hands", {})
+    for name in names:
+        if name in known:
+            continue
+        spec = recorded.get(name, name) if isinstance(recorded, dict) else name
+        try:
+            hand = load_hand(spec)
+        except NeuralGraspsError as error:
+            raise InputError(f"hand '{name}' of '{folder}' is needed: {error} Give its file with --hands.") from error
+        known[name] = hand
+    return {name: known[name] for name in names}
+
+
+def dataset_hands(dataset: GraspDataset, given: Sequence[str]) -> dict[str, Hand]:
+    """The hands of a dataset, checked to be the models that it was built with."""
+    from neuralgrasps.dataset.build import HAND_POINT_SPACING_M
+    from neuralgrasps.dataset.shards import fingerprint_of
+    from neuralgrasps.hands.packed import pack_hand
+
+    hands = hands_of(dataset.hands, dataset.folder, given)
+    for name, hand in hands.items():
+        if fingerprint_of(pack_hand(hand, spacing=HAND_POINT_SPACING_M)) != dataset.manifest.hands[name].fingerprint:
+            raise InputError(
+                f"hand '{name}' is not the model that '{dataset.folder}' was built with; give that one with --hands, "
+                "or build the dataset again."
+            )
+    return hands
+
+
+def dataset_objects(dataset: GraspDataset) -> dict[str, ObjectModel]:
+    """The objects of a dataset, from the surfaces stored in it."""
+    from neuralgrasps.objects.build import object_from_mesh
+
+    notes = {"source": f"dataset {dataset.folder}"}
+    return {name: object_from_mesh(name, dataset.object(name).mesh, provenance=notes) for name in dataset.objects}
+
+
+def run_objects(folder: Path, names: Sequence[str], given: Sequence[str]) -> dict[str, ObjectModel]:
+    """The objects of a fitted run: `given` ones, else those of its dataset, else by name.
+
+    Raises:
+        InputError: one cannot be found; the message says how to give it.
+    """
+    from neuralgrasps.dataset.read import read_dataset
+    from neuralgrasps.objects.zoo import load_object
+
+    found = open_objects(given)
+    home = read_sources(folder).get("dataset", "")
+    if home and not set(names) <= set(found):
+        try:
+            stored = dataset_objects(read_dataset(str(home)))
+            found = {**stored, **found}
+        except (DataFormatError, OSError):
+            pass  # moved or deleted: look the names up
+    for name in names:
+        if name not in found:
+            try:
+                found[name] = load_object(name)
+            except NeuralGraspsError as error:
+                raise InputError(
+                    f"object '{name}' of '{folder}' is needed: {error} Give its file with --objects."
+                ) from error
+    return {name: found[name] for name in names}

@@ -1,0 +1,78 @@
+"""`neuralgrasps train`: fit the latent space to a dataset."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from neuralgrasps.cli.models import dataset_hands, dataset_objects, source_text, write_sources
+from neuralgrasps.cli.options import Folder, Names, PositionalFolder
+from neuralgrasps.cli.outputs import check_writable
+from neuralgrasps.cli.terminal import Outcome, Terminal
+
+
+def train(
+    terminal: Terminal,
+    dataset: PositionalFolder,
+    /,
+    *,
+    out: Folder = Path("run"),
+    steps: int = 500,
+    batch: int = 48,
+    learning_rate: float = 1.5e-3,
+    seed: int = 0,
+    hands: Names = (),
+) -> Outcome:
+    """Fit the latent space that all hands of a dataset share.
+
+    Args:
+        dataset: folder that `dataset build` wrote.
+        out: folder for the run: weights, codes of all grasps, configuration.
+        steps: gradient steps.
+        batch: grasps of every hand per step.
+        learning_rate: peak of its schedule.
+        seed: of weights, batches and noise.
+        hands: files of hands that are not built in and have moved since the dataset was built.
+    """
+    from neuralgrasps.dataset.read import read_dataset
+    from neuralgrasps.model.checkpoint import save_run
+    from neuralgrasps.model.train import TrainConfig
+    from neuralgrasps.model.train import train as fit
+
+    check_writable(out, folder=True)
+    config = TrainConfig(steps=steps, batch=batch, learning_rate=learning_rate, seed=seed)
+    data = read_dataset(dataset)
+    with terminal.progress("reading hands and objects"):
+        models, objects = dataset_hands(data, hands), dataset_objects(data)
+    wall, cpu = time.perf_counter(), time.process_time()
+    with terminal.progress("training", "steps") as bar:
+        result = fit(
+            data, hands=models, objects=objects, config=config,
+            progress=lambda done, total, loss: bar(done, total, f"loss {loss:.4f}"),
+        )  # fmt: skip
+    wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
+    save_run(out, result)
+    sources = {name: source_text(spec) for name, spec in _hand_sources(dataset, hands, models).items()}
+    write_sources(out, hands=sources, objects={}, dataset=str(dataset.resolve()))
+    last = float(result.losses[-50:].mean()) if len(result.losses) else float("nan")
+    terminal.say(f"{len(result.codebook)} grasps of {len(models)} hands on {len(objects)} objects: {out}")
+    terminal.facts(
+        [
+            ("steps", f"{steps} in {wall_s:.1f} s, CPU {cpu_s:.1f} s"),
+            ("loss, last 50 steps", f"{last:.4f} m per code unit"),
+            ("next", f"neuralgrasps evaluate {out}"),
+        ]
+    )
+    result_figures = {"folder": str(out), "steps": steps, "seed": seed, "grasps": len(result.codebook)}
+    result_figures |= {"hands": list(models), "objects": list(objects), "wall_s": wall_s, "cpu_s": cpu_s}
+    return Outcome(result={**result_figures, "final_loss_m_per_code_unit": last})
+
+
+def _hand_sources(dataset: Path, given: tuple[str, ...], models: object) -> dict[str, str]:
+    from neuralgrasps.cli.models import open_hands, read_sources
+
+    recorded = read_sources(dataset).get("hands", {})
+    own = dict(zip(open_hands(given), given, strict=True))
+    known = {**(recorded if isinstance(recorded, dict) else {}), **own}
+    assert isinstance(models, dict)
+    return {name: known.get(name, name) for name in models}
