@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from neuralgrasps.objects import cache
-from neuralgrasps.objects.cache import cache_key, home_folder, read_cache, write_atomically, write_cache
+from neuralgrasps.objects.cache import cache_key, home_folder, read_cache, write_cache
 
 
 def test_home_folder_is_the_variable_or_the_platforms(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
@@ -55,15 +56,15 @@ def test_a_folder_that_cannot_be_made_is_a_note(monkeypatch: pytest.MonkeyPatch,
     assert read_cache("k") is None
 
 
-def test_full_disk_leaves_the_old_file_and_nothing_else(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
-    path = tmp_path / "f"
-    write_atomically(path, b"old")
+def test_a_full_disk_is_a_note_and_keeps_the_old_entry(monkeypatch: pytest.MonkeyPatch, fresh_home: Path):
+    write_cache("k", {"a": np.ones(2)}, {})
 
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(cache.os, "replace", full)
-    with pytest.raises(OSError, match="No space"):
-        write_atomically(path, b"new")
-    assert path.read_bytes() == b"old"
-    assert list(tmp_path.iterdir()) == [path]
+    monkeypatch.setattr(os, "fsync", full)
+    note = write_cache("k", {"a": np.zeros(2)}, {})
+    assert note is not None and "disk is full" in note
+    stored = read_cache("k")
+    assert stored is not None and (stored[0]["a"] == 1).all()
+    assert len(list((fresh_home / "cache" / "objects").iterdir())) == 1

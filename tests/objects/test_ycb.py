@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -10,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuralgrasps.errors import DownloadError, InputError, MeshError, UnknownNameError
+from neuralgrasps.errors import DownloadError, InputError, MeshError, StorageError, UnknownNameError
 from neuralgrasps.geometry.mesh import box_mesh
-from neuralgrasps.objects import download
 from neuralgrasps.objects.download import fetch_file
 from neuralgrasps.objects.store import ply_bytes, stored_mesh_file
 from neuralgrasps.objects.ycb import download_ycb, import_object
@@ -196,8 +196,8 @@ def test_a_full_disk_is_a_plain_error(server: Server, tmp_path: Path, monkeypatc
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(download, "write_atomically", full)
-    with pytest.raises(DownloadError, match=r"No space left.*Free some space"):
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(DownloadError, match=r"disk is full.*NEURALGRASPS_HOME"):
         fetch_file(f"{server.url}/f", tmp_path / "f")
 
 
@@ -233,5 +233,5 @@ def test_import_of_bad_files_and_folders_is_a_plain_error(tmp_path: Path, monkey
     path = tmp_path / "box.ply"
     path.write_bytes(ply_bytes(BOX))
     monkeypatch.setenv("NEURALGRASPS_HOME", str(path))  # a file, not a folder
-    with pytest.raises(InputError, match="NEURALGRASPS_HOME"):
+    with pytest.raises(StorageError, match="NEURALGRASPS_HOME"):
         import_object(path)

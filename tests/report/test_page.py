@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from neuralgrasps.errors import InputError
+from neuralgrasps.errors import InputError, StorageError
 from neuralgrasps.report.charts import bars_svg, histogram_svg, nice_ticks, scatter_svg, short_number
 from neuralgrasps.report.content import (
     ContactFigure,
@@ -163,7 +163,7 @@ def test_report_is_written_in_a_new_folder(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("code", "says"), [(errno.ENOSPC, "disk is full"), (errno.EROFS, "cannot be written. Choose another path")]
+    ("code", "says"), [(errno.ENOSPC, "disk is full"), (errno.EROFS, "choose a folder you may write to")]
 )
 def test_a_failed_write_keeps_the_old_page_and_leaves_nothing_behind(tmp_path, monkeypatch, code, says):
     path = tmp_path / "report.html"
@@ -173,7 +173,7 @@ def test_a_failed_write_keeps_the_old_page_and_leaves_nothing_behind(tmp_path, m
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr(os, "fsync", fail)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(StorageError, match=says):
         write_report(full_report(), path)
     assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["report.html"]
@@ -183,7 +183,7 @@ def test_impossible_places_are_explained(tmp_path):
     with pytest.raises(InputError, match="is a folder"):
         write_report(full_report(), tmp_path)
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="Choose another path"):
+    with pytest.raises(StorageError, match="choose another path"):
         write_report(full_report(), tmp_path / "file" / "report.html")
 
 

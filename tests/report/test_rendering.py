@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.errors import InputError, ShapeError, StorageError
 from neuralgrasps.geometry.camera import Intrinsics, look_at, project
 from neuralgrasps.geometry.mesh import Mesh, box_mesh, capsule_mesh, sphere_mesh
 from neuralgrasps.geometry.raster import rasterise
@@ -229,5 +229,5 @@ def test_save_picture(tmp_path):
     picture = render_object(sphere_mesh(0.05), size=(40, 30))
     save_picture(tmp_path / "ball.png", picture, background="#ffffff")
     assert (tmp_path / "ball.png").read_bytes()[:4] == b"\x89PNG"
-    with pytest.raises(InputError, match="writable folder"):
+    with pytest.raises(StorageError, match="does not exist"):
         save_picture(tmp_path / "missing" / "ball.png", picture)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,8 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from neuralgrasps.errors import DataFormatError, InputError, StorageError
+from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, array_fields
 
 FORMAT = "neuralgrasps.grasp_set"
@@ -30,7 +29,6 @@ def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
     Raises:
         StorageError: missing or read-only folder, full disk, no permission. An older file is left as it was.
     """
-    path = Path(path)
     arrays = {name: getattr(grasps, name) for name in array_fields()}
     verdicts = []
     for i, (name, verdict) in enumerate(grasps.verdicts.items()):
@@ -53,8 +51,8 @@ def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
         "description": description,
         "sha256": _checksum(arrays, description),
     }
-    _write_whole(path, save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata))
-    return path
+    data = save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata)
+    return write_whole(path, data, make_folder=False)
 
 
 def load_grasps(path: str | os.PathLike[str]) -> GraspSet:
@@ -124,33 +122,3 @@ def _checksum(arrays: dict[str, np.ndarray], description: str) -> str:
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
-
-
-def _write_whole(path: Path, data: bytes) -> None:
-    """Write to a temporary neighbour, flush to disk, rename."""
-    temporary: Path | None = None
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes files that only their owner can read
-        temporary.replace(path)
-    except OSError as error:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
-        raise StorageError(f"cannot write '{path}': {_reason(error, path, len(data))}") from error
-
-
-def _reason(error: OSError, path: Path, size: int) -> str:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return f"the disk is full; free at least {size / 1e6:.1f} MB or choose another folder."
-    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
-        return f"no permission to write in '{path.parent}'; choose a folder you may write to."
-    if error.errno == errno.ENOENT:
-        return f"the folder '{path.parent}' does not exist; create it first."
-    return f"{error.strerror or error}."

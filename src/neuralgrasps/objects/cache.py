@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,6 +16,9 @@ import numpy as np
 import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
+
+from neuralgrasps.errors import StorageError
+from neuralgrasps.files import write_whole
 
 CACHE_VERSION = "3"  # raise it when what is computed from a mesh changes
 
@@ -33,23 +35,6 @@ def cache_key(content_hash: str, options: Mapping[str, str | int | float]) -> st
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def write_atomically(path: Path, data: bytes) -> None:
-    """Write a file so that readers see the old one or the whole new one, and a killed run leaves nothing behind it.
-
-    Raises:
-        OSError: the folder is read-only, the disk is full, ...; the old file is then untouched.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
-
-
 def read_cache(key: str) -> tuple[dict[str, np.ndarray], dict[str, str]] | None:
     """The arrays and the notes stored under `key`; None when there are none or the file is damaged."""
     path = _cache_file(key)
@@ -63,12 +48,11 @@ def read_cache(key: str) -> tuple[dict[str, np.ndarray], dict[str, str]] | None:
 
 def write_cache(key: str, arrays: Mapping[str, np.ndarray], notes: Mapping[str, str]) -> str | None:
     """Store arrays and notes under `key`. Returns None, or why nothing could be stored."""
-    path = _cache_file(key)
+    data = save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata=dict(notes))
     try:
-        data = save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata=dict(notes))
-        write_atomically(path, data)
-    except OSError as error:
-        return f"not cached: {error.strerror or error} ({path.parent})"
+        write_whole(_cache_file(key), data)
+    except StorageError as error:
+        return f"not cached: {error}"
     return None
 
 

@@ -7,17 +7,18 @@ import http.client
 import json
 import urllib.error
 import urllib.request
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from neuralgrasps.errors import DownloadError
-from neuralgrasps.objects.cache import write_atomically
+from neuralgrasps.errors import DownloadError, StorageError
+from neuralgrasps.files import storage_reason, write_whole
 
 Progress = Callable[[str, int, int | None], None]  # file name, bytes so far, bytes in all if known
 MAX_BYTES = 512 * 1024 * 1024
 _BLOCK = 1 << 18
 _ATTEMPTS = 3
+_HOME_HINT = "The home folder can be moved: set NEURALGRASPS_HOME."
 
 
 def fetch_file(
@@ -104,7 +105,7 @@ def _append(
                 file.write(block)
                 file.flush()
             except OSError as error:
-                raise _disk_error(part, error) from error
+                raise _disk_error(part, error, len(block)) from error
             have += len(block)
             if have > max_bytes:
                 raise DownloadError(f"cannot download {url}: it holds over {max_bytes} bytes; that is not accepted.")
@@ -127,17 +128,18 @@ def _read_tag(part: Path, url: str) -> str | None:
 
 def _remember_tag(part: Path, url: str, etag: str | None) -> None:
     strong = etag if etag and not etag.startswith("W/") else None
+    _write_note(_tag_file(part), {"url": url, "etag": strong})
+
+
+def _write_note(path: Path, note: Mapping[str, str | None]) -> None:
     try:
-        write_atomically(_tag_file(part), json.dumps({"url": url, "etag": strong}).encode())
-    except OSError as error:
-        raise _disk_error(part, error) from error
+        write_whole(path, json.dumps(note, indent=1, sort_keys=True))
+    except StorageError as error:
+        raise DownloadError(f"{error} {_HOME_HINT}") from error.__cause__
 
 
-def _disk_error(path: Path, error: OSError) -> DownloadError:
-    return DownloadError(
-        f"cannot write '{path}': {error.strerror or error}. Free some space, or set NEURALGRASPS_HOME to a folder that "
-        "can be written."
-    )
+def _disk_error(path: Path, error: OSError, size: int = 0) -> DownloadError:
+    return DownloadError(f"cannot write '{path}': {storage_reason(error, path, size)} {_HOME_HINT}")
 
 
 def file_sha256(path: Path) -> str:
@@ -165,11 +167,7 @@ def check_sha256(path: Path, manifest: Path, *, key: str) -> tuple[str, bool]:
 
 def record_sha256(digest: str, manifest: Path, *, key: str) -> None:
     """Remember the checksum of a file that proved good, so that later downloads are held to it."""
-    try:
-        content = {**_read_manifest(manifest), key: digest}
-        write_atomically(manifest, json.dumps(content, indent=1, sort_keys=True).encode())
-    except OSError as error:
-        raise _disk_error(manifest, error) from error
+    _write_note(manifest, {**_read_manifest(manifest), key: digest})
 
 
 def _read_manifest(manifest: Path) -> dict[str, str]:

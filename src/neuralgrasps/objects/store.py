@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from neuralgrasps.errors import InputError
+from neuralgrasps.errors import InputError, StorageError
+from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.mesh import Mesh
-from neuralgrasps.objects.cache import home_folder, write_atomically
+from neuralgrasps.objects.cache import home_folder
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -65,18 +66,16 @@ def store_mesh(name: str, mesh: Mesh, notes: Mapping[str, str]) -> None:
     """Keep a mesh and its provenance under `name`; an older one is replaced.
 
     Raises:
-        InputError: the name cannot be used, or the home folder cannot be written.
+        InputError: the name cannot be used.
+        StorageError: the home folder cannot be written.
     """
     folder = objects_folder() / check_object_name(name)
     try:
         # the mesh last: a folder without it does not count
-        write_atomically(folder / "object.json", json.dumps(dict(notes), indent=1, sort_keys=True).encode())
-        write_atomically(folder / "mesh.ply", ply_bytes(mesh))
-    except OSError as error:
-        raise InputError(
-            f"cannot write '{folder}': {error.strerror or error}. Free some space, or set NEURALGRASPS_HOME to a "
-            "folder that can be written."
-        ) from error
+        write_whole(folder / "object.json", json.dumps(dict(notes), indent=1, sort_keys=True))
+        write_whole(folder / "mesh.ply", ply_bytes(mesh))
+    except StorageError as error:
+        raise StorageError(f"{error} The home folder can be moved: set NEURALGRASPS_HOME.") from error.__cause__
 
 
 def ply_bytes(mesh: Mesh) -> bytes:

@@ -41,7 +41,8 @@ def import_object(
         the name.
     Raises:
         MeshError: the file cannot be read or describes no surface.
-        InputError: the name cannot be used or is taken, or the home folder cannot be written.
+        InputError: the name cannot be used or is taken.
+        StorageError: the home folder cannot be written.
     """
     path = Path(path)
     name = check_object_name(path.stem if name is None else name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
-from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.errors import ShapeError
+from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.raster import rasterise
@@ -228,16 +230,19 @@ def fine_mesh(mesh: Mesh, *, longest_edge_m: float = 0.005) -> Mesh:
 
 
 def save_picture(path: str | Path, image: np.ndarray, *, background: str | None = None) -> None:
-    """Write a picture as a PNG file, on `background` ("#rrggbb") or transparent."""
+    """Write a picture as a PNG file, on `background` ("#rrggbb") or transparent.
+
+    Raises:
+        StorageError: missing or read-only folder, full disk, no permission.
+    """
     picture = Image.fromarray(image)
     if background is not None and picture.mode == "RGBA":
         plain = Image.new("RGBA", picture.size, background)
         plain.alpha_composite(picture)
         picture = plain.convert("RGB")
-    try:
-        picture.save(path, optimize=True)
-    except OSError as error:
-        raise InputError(f"the picture cannot be written to '{path}': {error}. Choose a writable folder.") from error
+    stream = io.BytesIO()
+    picture.save(stream, "PNG", optimize=True)
+    write_whole(path, stream.getvalue(), make_folder=False)
 
 
 def _picture(surfaces: Sequence[Surface], view: np.ndarray, size: tuple[int, int]) -> np.ndarray:

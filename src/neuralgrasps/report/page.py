@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import errno
-import os
-import tempfile
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 
 from neuralgrasps.errors import InputError
+from neuralgrasps.files import write_whole
 from neuralgrasps.report.content import DemoReport, KeyFigure
 from neuralgrasps.report.page_style import page_css, page_script
 from neuralgrasps.report.sections import (
@@ -88,36 +86,15 @@ def write_report(report: DemoReport, path: str | Path) -> Path:
     Returns:
         The path written.
     Raises:
-        InputError: the place cannot be written (read-only, full, a folder of this name), or the page is too large.
+        InputError: `path` is a folder, or the page is too large.
+        StorageError: the place cannot be written (read-only, full); an older page is left as it was.
     """
     path = Path(path)
     if path.is_dir():
         raise InputError(
             f"the report cannot be written to '{path}': it is a folder. Give a file name such as report.html."
         )
-    html = report_html(report)
-    temporary: str | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(html)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            Path(temporary).unlink(missing_ok=True)
-        raise InputError(f"the report cannot be written to '{path}': {_reason(error)}") from error
-    return path
-
-
-def _reason(error: OSError) -> str:
-    full = f"the disk is full. Free some space, or write elsewhere with another path ({error.strerror})."
-    locked = f"its folder cannot be written. Choose another path, or change its permissions ({error.strerror})."
-    reasons = {errno.ENOSPC: full, errno.EDQUOT: full, errno.EROFS: locked, errno.EACCES: locked, errno.EPERM: locked}
-    return reasons.get(error.errno or 0, f"{error.strerror or error}. Choose another path.")
+    return write_whole(path, report_html(report))
 
 
 def _page(report: DemoReport, pictures: PictureEncoder) -> str:
