@@ -16,14 +16,17 @@ from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.demo.measure import Progress
 from neuralgrasps.evaluate.embedding import embed_codes
 from neuralgrasps.evaluate.retrieval import RetrievalScores, score_codebook
+from neuralgrasps.geometry.sampling import sample_surface
+from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.model.codes import CodeBook, join_codes
 from neuralgrasps.model.infer import InferResult, infer_grasps
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.reconstruct import PublishedChamfer, hand_surface_distances, published_chamfer
 from neuralgrasps.model.train import TrainResult
+from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
-from neuralgrasps.seeds import child_rng
+from neuralgrasps.seeds import child_rng, child_seed
 
 OBSERVED_POINTS = 1024
 
@@ -35,7 +38,8 @@ class ObjectMeasures:
     Attributes:
         scores: retrieval by encoded codes; observed_scores: by codes inferred from unlabelled hand points.
         encoded_error_m, observed_error_m: (T,) mean two-sided surface distance of the decoded and of the inferred hand.
-        chamfer, chamfer_oracle: the published reconstruction measure of the hand, and what a perfect field scores.
+        object_error_m: mean |distance grid| on the object's true surface.
+        chamfer, chamfer_oracle: the published reconstruction measure of the inferred hand, and what a perfect field scores.
     """
 
     object: str
@@ -43,6 +47,7 @@ class ObjectMeasures:
     observed_scores: RetrievalScores
     encoded_error_m: np.ndarray
     observed_error_m: np.ndarray
+    object_error_m: float
     chamfer: float
     chamfer_oracle: float
 
@@ -203,7 +208,7 @@ def _measure_object(
             distances = hand_surface_distances(packed, X_OH, q, grasps.X_OH, grasps.q, seed=seed)
             errors.append(distances.mean(axis=1))
         chamfers.append(
-            _chamfer(packed, dataset, name, (X_decoded[:1], q_decoded[:1]), (grasps.X_OH[:1], grasps.q[:1]))
+            _chamfer(packed, dataset, name, (result.X_OH[:1], result.q[:1]), (grasps.X_OH[:1], grasps.q[:1]))
         )
     return ObjectMeasures(
         object=name,
@@ -211,12 +216,18 @@ def _measure_object(
         observed_scores=score_codebook(book, object_name=name, queries=observed),
         encoded_error_m=np.concatenate(encoded_error),
         observed_error_m=np.concatenate(observed_error),
+        object_error_m=_object_error(field.object(name), seed),
         chamfer=float(np.mean([c.chamfer for c in chamfers])),
         chamfer_oracle=float(np.mean([c.oracle for c in chamfers])),
     )
 
 
 Posed = tuple[np.ndarray, np.ndarray]  # X_OH (1, 4, 4), q (1, J)
+
+
+def _object_error(obj: ObjectModel, seed: int) -> float:
+    points, _, _ = sample_surface(obj.mesh, 20_000, child_seed(seed, "object surface", obj.name))
+    return float(np.abs(query_grid_numpy(obj.sdf, points)).mean())
 
 
 def _chamfer(

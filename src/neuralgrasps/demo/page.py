@@ -52,7 +52,7 @@ _PHYSICS = (
 def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress) -> Path:
     """Draw every picture and write `report.html`; returns its path."""
     plan = PicturePlan()
-    with meter.stage("pictures and page"):
+    with meter.stage("pictures"):
         hands = [plan.hand(hand) for hand in data.hands]
         shown = [(g.hand, g.object, i) for g in data.grasp_sets for i in range(min(SHOWN, len(g)))]
         grasps = [plan.grasp(*key) for key in shown]
@@ -113,6 +113,10 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
         ),
         data.config.out / "report.html",
     )
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _command(data: DemoData) -> str:
@@ -204,7 +208,8 @@ def _model_rows(data: DemoData) -> tuple[ModelRow, ...]:
         ModelRow(
             object=s.object,
             grasps=s.scores.queries,
-            hand_error_mm=s.encoded_error_m.mean() * 1e3,
+            hand_error_mm=s.observed_error_m.mean() * 1e3,
+            object_error_mm=s.object_error_m * 1e3,
             near_code=s.scores.near_z,
             near_contact=s.scores.near_gt,
             far_code=s.scores.far_z,
@@ -219,7 +224,7 @@ def _model_rows(data: DemoData) -> tuple[ModelRow, ...]:
 def _inference_table(data: DemoData) -> Table:
     rows = [
         (
-            s.object, s.scores.queries, s.encoded_error_m.mean() * 1e3, s.observed_error_m.mean() * 1e3,
+            _plain(s.object), s.scores.queries, round(s.encoded_error_m.mean() * 1e3, 4), s.observed_error_m.mean() * 1e3,
             float(np.quantile(s.observed_error_m, 0.95) * 1e3), s.scores.gap, s.observed_scores.gap,
         )
         for s in data.latent.objects
@@ -245,7 +250,7 @@ def _pose_table(data: DemoData) -> Table:
         wall = np.array([t.wall_s for t in trials])
         good = np.mean([t.errors.mssd_m < 0.1 * t.diameter_m for t in trials])
         row = (float(np.median(a)) for a in (add_s, turn, shift, wall))
-        rows.append((name, len(trials), *row, float(good)))
+        rows.append((_plain(name), len(trials), *row, float(good)))
     return Table(
         title="Object pose from one depth view",
         columns=("object", "views", "ADD-S mm", "rotation deg", "translation mm", "seconds", "MSSD < 0.1 d"),

@@ -117,11 +117,11 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
         with meter.stage("hands and objects"):
             hands = {hand.name: hand for hand in map(load_hand, config.hands)}
             objects = _load_objects(object_sources(config), workers, say)
-        with meter.stage("grasps, proven in physics"):
+        with meter.stage("grasps"):
             grasp_sets, records = collect_grasps(
                 config.out / "grasps", list(hands.values()), list(objects.values()),
                 config=SynthesisConfig(count=config.count, batch=2048), seed=config.seed, workers=workers,
-                progress=lambda *a: say("grasps, proven in physics", *a),
+                progress=lambda *a: say("grasps", *a),
             )  # fmt: skip
         kept = [g for g in grasp_sets if len(g) >= 2]
         if not kept:
@@ -132,9 +132,9 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
                 progress=lambda *a: say("data set", *a),
             )  # fmt: skip
             dataset = read_dataset(config.out / "dataset")
-        with meter.stage("shared latent space"), training_threads():
+        with meter.stage("latent space"), training_threads():
             trained = train(
-                dataset, hands=hands, objects=objects, progress=lambda d, t, *_: say("shared latent space", d, t, "")
+                dataset, hands=hands, objects=objects, progress=lambda d, t, *_: say("latent space", d, t, "")
             )
             save_run(config.out / "run", trained)
         with meter.stage("measuring"):
@@ -151,7 +151,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
             config=config, hands=hands, objects=objects, grasp_sets=kept, records=records, grasps=grasps,
             dataset=dataset, trained=trained, latent=latent, poses=poses,
         )  # fmt: skip
-        path = write_page(data, meter, workers=workers, progress=lambda *a: say("pictures and page", *a))
+        path = write_page(data, meter, workers=workers, progress=lambda *a: say("pictures", *a))
     figures = demo_figures(data, meter.stages)
     return DemoResult(report_path=path, figures=figures, summary=summary_lines(data, figures))
 
