@@ -118,6 +118,17 @@ def test_short_first_round_gives_the_verdict_of_forces_in_turn(box: ObjectModel)
             assert outcome.rotation_rad == verdict.rotation_rad[i]
 
 
+def test_quick_protocol_stops_when_settled_and_agrees(hand: Hand, box: ObjectModel) -> None:
+    centres = [CENTRED, BESIDE, (0.004, 0.01, 0.12), (0.0, 0.025, 0.11), FAR]
+    grasps = _grasps(hand, box, *centres)
+    quick = validate_grasps(hand, box, grasps, "dexgraspbench-quick")
+    np.testing.assert_array_equal(quick.success, validate_grasps(hand, box, grasps).success)
+    assert quick.parameters["settled_speed"] == 0.01
+    lengths = [len(trial_trajectory(hand, box, grasps[0], p)) for p in ("dexgraspbench-quick", "dexgraspbench")]
+    assert lengths[0] < lengths[1] / 3
+    assert lengths[1] == 1 + 2 * 10 + 6 * 50
+
+
 def test_ramps_end_at_the_squeeze_target(hand: Hand, box: ObjectModel) -> None:
     grasps = _grasps(hand, box, FAR)
     recorded = trial_trajectory(hand, box, grasps)

@@ -37,6 +37,7 @@ from neuralgrasps.sim.protocols import Protocol, get_protocol
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIRECTIONS_O = np.concatenate([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]]  # +x, -x, +y, -y, +z, -z
 _FIRST_ROUND_S = 0.2
+_SETTLED_CHECKS = 8
 _DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
@@ -196,10 +197,8 @@ class GraspTrial:
         for direction in range(len(_DIRECTIONS_O)):
             if direction and self.protocol.from_reset:
                 mujoco.mj_setState(self.model, self.data, self._squeezed, _STATE)
-            self._pull(direction)
-            for _ in range(checks):
-                if not self._advance(Phase.HOLD, direction, observe):
-                    return direction
+            if self._hold(direction, checks, 0, observe) is None:
+                return direction
         return len(_DIRECTIONS_O)
 
     def _hold_in_rounds(self, checks: int) -> int:
@@ -211,20 +210,37 @@ class GraspTrial:
         model, data = self.model, self.data
         mujoco.mj_getState(model, data, self._squeezed, _STATE)
         states = np.tile(self._squeezed, (len(_DIRECTIONS_O), 1))
+        still = [0] * len(_DIRECTIONS_O)
         first = min(checks, self._checks(_FIRST_ROUND_S))
         for length in (first, checks - first):
             for direction, state in enumerate(states):
                 mujoco.mj_setState(model, data, state, _STATE)
-                self._pull(direction)
-                if not all(self._advance(Phase.HOLD, direction, None) for _ in range(length)):
+                count = self._hold(direction, length, still[direction], None)
+                if count is None:
                     return direction
+                still[direction] = count
                 mujoco.mj_getState(model, data, state, _STATE)
         return len(_DIRECTIONS_O)
 
-    def _pull(self, direction: int) -> None:
-        """Apply force `direction`: constant in the world, like gravity, along an axis the object had at the start."""
+    def _hold(self, direction: int, checks: int, still: int, observe: Observer | None) -> int | None:
+        """Apply force `direction` until it has been checked `checks` times, or nothing moves any more.
+
+        The force is constant in the world, like gravity, along an axis the object had at the start.
+
+        Args:
+            still: for how many checks in a row everything has been slower than `protocol.settled_speed`.
+        Returns:
+            `still` at the end; None when the object was lost.
+        """
         force = self.protocol.force_per_mass * object_mass(self.obj, self.protocol)
         self.data.xfrc_applied[self._body, :3] = force * (self._start_rotation @ _DIRECTIONS_O[direction])
+        for _ in range(checks):
+            if still >= _SETTLED_CHECKS:
+                break
+            if not self._advance(Phase.HOLD, direction, observe):
+                return None
+            still = still + 1 if np.abs(self.data.qvel).max() < self.protocol.settled_speed else 0
+        return still
 
     def _checks(self, seconds: float) -> int:
         return max(1, round(seconds / (self.protocol.timestep_s * self.protocol.check_every)))
@@ -343,6 +359,7 @@ def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -
         "max_rotation_rad": protocol.max_rotation_rad,
         "max_start_penetration_m": protocol.max_start_penetration_m,
         "timestep_s": protocol.timestep_s,
+        "settled_speed": protocol.settled_speed,
         "revolute_kp": protocol.revolute.kp,
         "prismatic_kp": protocol.prismatic.kp,
     }

@@ -48,6 +48,8 @@ class Protocol:
             start; exceeding either at any check fails the grasp at once.
         max_start_penetration_m: deepest overlap of hand and object allowed at the pre-grasp.
         check_every: steps between checks.
+        settled_speed: a force counts as withstood once every joint and the object have been slower than this (m/s and
+            rad/s) at 8 checks in a row; 0 holds for the whole `hold_s`, as the benchmark asks.
         revolute, prismatic: servos.
         timestep_s, noslip_iterations, solref, solimp, impratio, solver_iterations, multiccd: MuJoCo settings.
     """
@@ -66,6 +68,7 @@ class Protocol:
     max_rotation_rad: float = math.radians(15.0)
     max_start_penetration_m: float = 0.01
     check_every: int = 10
+    settled_speed: float = 0.0
     revolute: Actuation = field(default_factory=lambda: Actuation(kp=20.0, kv=0.4, armature=0.002))
     prismatic: Actuation = field(default_factory=lambda: Actuation(kp=3000.0, kv=50.0, armature=0.2))
     timestep_s: float = 0.004
@@ -91,7 +94,14 @@ class Protocol:
                 raise InputError(
                     f"protocol '{self.name}': {name} is {getattr(self, name)}; expected a positive number."
                 )
-        for name in ("friction", "friction_scale", "torsional_friction", "rolling_friction", "force_per_mass"):
+        for name in (
+            "friction",
+            "friction_scale",
+            "torsional_friction",
+            "rolling_friction",
+            "force_per_mass",
+            "settled_speed",
+        ):
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise InputError(f"protocol '{self.name}': {name} is {value}; expected 0 or more.")
@@ -106,6 +116,8 @@ PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
         # The accepted benchmark: 0.1 kg, friction 0.6, 1 g in six directions for 2 s.
         "dexgraspbench": _DEXGRASPBENCH,
         "dexgraspbench-hard": replace(_DEXGRASPBENCH, name="dexgraspbench-hard", friction_scale=0.5),
+        # The same, each force ended once nothing moves: 2 to 5 times cheaper; of 1542 grasps it passes, 2 fail in full.
+        "dexgraspbench-quick": replace(_DEXGRASPBENCH, name="dexgraspbench-quick", settled_speed=0.01),
         # The object's own weight and friction, the forces one after the other without letting go in between, 2 cm.
         "shake": replace(
             _DEXGRASPBENCH,
