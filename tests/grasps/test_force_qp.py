@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import nnls
 
+from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.force_qp import WEIGHT, contact_forces, edge_forces
-from neuralgrasps.grasps.wrench_space import epsilon, grasp_wrenches
+from neuralgrasps.grasps.wrench_space import grasp_wrenches
 
 
 def reference(wrenches: np.ndarray, weight: float) -> np.ndarray:

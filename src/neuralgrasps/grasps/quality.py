@@ -14,9 +14,10 @@ from numba import njit
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.grasps.contact import MAX_PER_LINK, THRESHOLD_M, find_contacts, link_pose_in_object
+from neuralgrasps.grasps.epsilon import STARTS, epsilon
 from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.penetration import PenetrationDepths, penetration_depths
-from neuralgrasps.grasps.wrench_space import STARTS, characteristic_length, epsilon, grasp_wrenches
+from neuralgrasps.grasps.wrench_space import characteristic_length, grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.kinematics.forward_kernels import link_poses
@@ -36,7 +37,7 @@ class QualityConfig:
         torsion_m: torsional friction coefficient, metres; 0 = hard fingers.
         edges: edges of the linearised friction cone.
         threshold_m: hand points nearer than this touch; max_per_link: contacts kept per link.
-        starts: vertex walks of the epsilon (see `wrench_space.epsilon`).
+        starts: vertex walks of the epsilon (see `epsilon.epsilon`).
     """
 
     friction: float | None = None

@@ -10,7 +10,8 @@ from numba import njit
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
-from neuralgrasps.grasps.wrench_space import characteristic_length, epsilon, epsilon_upper_bound, fill_grasp_wrenches
+from neuralgrasps.grasps.epsilon import epsilon, epsilon_upper_bound
+from neuralgrasps.grasps.wrench_space import characteristic_length, fill_grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand, pack_hand
 from neuralgrasps.kinematics.forward_kernels import forward_numpy

@@ -12,7 +12,8 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate, empty_grasps
 from neuralgrasps.grasps.penetration import penetration_depths
-from neuralgrasps.grasps.wrench_space import epsilon, grasp_wrenches
+from neuralgrasps.grasps.epsilon import epsilon
+from neuralgrasps.grasps.wrench_space import grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
