@@ -65,8 +65,8 @@ def run_tasks(
     """Yield (index of the task, `function(*task)`) as tasks finish.
 
     Workers are spawned, never forked (compiled code with threads does not survive a fork). With `workers=1`
-    everything runs in this process. `function` must be importable and the tasks picklable. When the caller stops early or is interrupted,
-    waiting tasks are dropped and running workers are ended.
+    everything runs in this process. `function` must be importable and the tasks picklable. When the caller stops early
+    or is interrupted, waiting tasks are dropped and running workers are ended.
 
     Raises:
         WorkerDiedError: a worker was killed.

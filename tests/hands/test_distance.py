@@ -69,7 +69,7 @@ def test_box_hand_by_hand(all_hands):
 def test_hulls_equal_the_exact_mesh_distance(assets):
     """The real Allegro's fingertip meshes, as hulls, against the pseudonormal distance of their triangles."""
     hand = load_hand(assets / "hands/allegro_hand/allegro_hand_right.urdf")
-    tip = [p for p in hand.parts if p.kind == 4][0]
+    tip = next(p for p in hand.parts if p.kind == 4)
     points = np.random.default_rng(0).normal(scale=0.02, size=(500, 3)) + tip.X_LP[:3, 3]
     assert np.allclose(part_distances(tip, points), signed_distance(part_mesh(tip), points), atol=1e-9)
 

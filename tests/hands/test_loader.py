@@ -90,7 +90,7 @@ def test_notes_that_do_not_fit_the_robot(write_robot, notes, message):
 
 
 def test_files_that_are_no_hands(write_robot, tmp_path):
-    with pytest.raises(RobotDescriptionError, match="does not exist.*Built-in hands: fetch"):
+    with pytest.raises(RobotDescriptionError, match=r"does not exist.*Built-in hands: fetch"):
         load_hand(tmp_path / "nothing.urdf")
     write_robot(SLIDE_JAW, "gripper.urdf")
     with pytest.raises(RobotDescriptionError, match=r"Did you mean '.*gripper.urdf'\?"):

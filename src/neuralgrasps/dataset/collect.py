@@ -1,4 +1,4 @@
-"""Synthesise grasps for many hands and objects into a folder: on all cores, resumable, the same for any worker count."""
+"""Synthesise grasps of many hands and objects into a folder: on all cores, resumable, the same for any worker count."""
 
 from __future__ import annotations
 

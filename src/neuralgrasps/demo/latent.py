@@ -39,7 +39,8 @@ class ObjectMeasures:
         scores: retrieval by encoded codes; observed_scores: by codes inferred from unlabelled hand points.
         encoded_error_m, observed_error_m: (T,) mean two-sided surface distance of the decoded and of the inferred hand.
         object_error_m: mean |distance grid| on the object's true surface.
-        chamfer, chamfer_oracle: the published reconstruction measure of the inferred hand, and what a perfect field scores.
+        chamfer, chamfer_oracle: the published reconstruction measure of the inferred hand, and what a perfect
+            field scores.
     """
 
     object: str

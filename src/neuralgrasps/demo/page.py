@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 SHOWN = 3  # grasps shown per hand and object
 
 _PHYSICS = (
-    "Each picture is one synthesised grasp, drawn as computed, with the object's true mesh. Held means: in MuJoCo, the hand closed "
-    "from its pre-grasp, squeezed within its torque limits, and then kept an object of 0.1 kg (friction 0.6) while 1 N pulled it along "
-    "six directions for 2 s each; it may move less than 5 cm and turn less than 15 degrees (the DexGraspBench protocol). "
-    "ε is the radius of the largest ball of wrenches that the contacts resist; overlap is the deepest hand point inside the "
-    "mesh; slip is how far the object moved in the trial."
+    "Each picture is one synthesised grasp, drawn as computed, with the object's true mesh. Held means: in MuJoCo, the "
+    "hand closed from its pre-grasp, squeezed within its torque limits, and then kept an object of 0.1 kg (friction "
+    "0.6) while 1 N pulled it along six directions for 2 s each; it may move less than 5 cm and turn less than 15 "
+    "degrees (the DexGraspBench protocol). ε is the radius of the largest ball of wrenches that the contacts resist; "
+    "overlap is the deepest hand point inside the mesh; slip is how far the object moved in the trial."
 )
 
 
@@ -68,7 +68,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
                 object=obj,
                 image=pictures[slot],
                 area_share=float((data.latent.maps[hand, obj][0] > 0.5).mean()),
-            )  # fmt: skip
+            )
             for hand, obj, slot in contacts
         )
         hand_figures = tuple(
@@ -76,7 +76,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
                 hand=name,
                 image=pictures[slot],
                 text=f"{hand.num_dofs} joint{'s' if hand.num_dofs > 1 else ''}, {len(hand.fingers)} fingers",
-            )  # fmt: skip
+            )
             for (name, hand), slot in zip(data.hands.items(), hands, strict=True)
         )
         retrieval = tuple(_retrieval_row(row, [pictures[s] for s in slots]) for row, slots in rows)
@@ -198,7 +198,7 @@ def _synthesis_rows(data: DemoData) -> tuple[SynthesisRow, ...]:
                 penetration_p95_mm=float(np.percentile(depth, 95) * 1e3) if len(depth) else None,
                 epsilon_median=float(np.median(data.set_of(*pair).epsilon)) if len(depth) else None,
                 cpu_s=record.cpu_s,
-            )  # fmt: skip
+            )
         )
     return tuple(rows)
 
@@ -216,7 +216,7 @@ def _model_rows(data: DemoData) -> tuple[ModelRow, ...]:
             far_contact=s.scores.far_gt,
             chamfer_e3=s.chamfer * 1e3,
             chamfer_oracle_e3=s.chamfer_oracle * 1e3,
-        )  # fmt: skip
+        )
         for s in data.latent.objects
     )
 
@@ -224,7 +224,8 @@ def _model_rows(data: DemoData) -> tuple[ModelRow, ...]:
 def _inference_table(data: DemoData) -> Table:
     rows = [
         (
-            _plain(s.object), s.scores.queries, round(s.encoded_error_m.mean() * 1e3, 4), s.observed_error_m.mean() * 1e3,
+            _plain(s.object), s.scores.queries,
+            round(s.encoded_error_m.mean() * 1e3, 4), s.observed_error_m.mean() * 1e3,
             float(np.quantile(s.observed_error_m, 0.95) * 1e3), s.scores.gap, s.observed_scores.gap,
         )
         for s in data.latent.objects
@@ -233,9 +234,9 @@ def _inference_table(data: DemoData) -> Table:
         title="Held-out grasps: known, and inferred from what can be seen",
         columns=("object", "grasps", "encoded mm", "inferred mm", "inferred p95 mm", "gap encoded", "gap inferred"),
         rows=tuple(rows),
-        meaning="Encoded: pose and joints are given, and the code keeps them, so decoding is exact up to rounding. Inferred: only "
-        "unlabelled points on the hand's surface are given; pose and joints are found by search. The gap is the contact similarity "
-        "lost against the best neighbour in the gallery.",
+        meaning="Encoded: pose and joints are given, and the code keeps them, so decoding is exact up to rounding. "
+        "Inferred: only unlabelled points on the hand's surface are given; pose and joints are found by search. The gap "
+        "is the contact similarity lost against the best neighbour in the gallery.",
         how="Mean two-sided distance between the true and the decoded hand's surfaces; grasps that training never saw.",
     )
 
@@ -255,8 +256,9 @@ def _pose_table(data: DemoData) -> Table:
         title="Object pose from one depth view",
         columns=("object", "views", "ADD-S mm", "rotation deg", "translation mm", "seconds", "MSSD < 0.1 d"),
         rows=tuple(rows),
-        meaning="Medians; errors modulo the object's symmetry. The object stands on a table in a random stable pose, seen from "
-        "0.5 to 1.2 m with simulated sensor noise, cut out by the table's height. Easy views: nothing hides the object.",
+        meaning="Medians; errors modulo the object's symmetry. The object stands on a table in a random stable pose, "
+        "seen from 0.5 to 1.2 m with simulated sensor noise, cut out by the table's height. Easy views: nothing hides the "
+        "object.",
         how="The pose is found from the points alone by 2,000 starts on the signed distance; one thread.",
     )
 
@@ -269,7 +271,7 @@ def _latent_maps(data: DemoData) -> tuple[LatentMap, ...]:
             hands=m.hands,
             notes=m.notes,
             text="t-SNE of the contact part of the codes. Test grasps are included.",
-        )  # fmt: skip
+        )
         for m in data.latent.maps_2d
     )
 
@@ -302,8 +304,10 @@ def _dataset_facts(data: DemoData) -> tuple[tuple[str, str], ...]:
 
 def _notes(data: DemoData) -> tuple[str, ...]:
     notes = [
-        "Hands are authored from primitives after published dimensions; their kinematics agree with the makers' URDFs to 1 mm.",
-        "Success rates hold for a 0.1 kg object with friction 0.6 and the torque limits of each hand's file; heavier objects need more.",
+        "Hands are authored from primitives after published dimensions; their kinematics agree with the makers' URDFs "
+        "to 1 mm.",
+        "Success rates hold for a 0.1 kg object with friction 0.6 and the torque limits of each hand's file; heavier "
+        "objects need more.",
         "Depth images are simulated; real cameras have biases that this sensor model does not contain.",
     ]
     if data.config.objects_dir is None and all(

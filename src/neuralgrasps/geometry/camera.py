@@ -1,4 +1,4 @@
-"""Pinhole cameras in the OpenCV convention: x right, y down, z forward; the centre of pixel (row 0, column 0) is (0, 0)."""
+"""Pinhole cameras in the OpenCV convention: x right, y down, z forward; the centre of the first pixel is (0, 0)."""
 
 from __future__ import annotations
 

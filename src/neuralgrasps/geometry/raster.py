@@ -98,7 +98,7 @@ def _numbers(k: Intrinsics) -> tuple[float, float, float, float]:
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
 def _pixel_box(p, near, fx, fy, cx, cy, width, height):
-    """First and one-past-last column and row whose centres a triangle (3, 3) can cover; empty when it is not in view."""
+    """First and one-past-last column and row whose centres a triangle (3, 3) can cover; empty when out of view."""
     low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
     for i in range(3):
         j = i + 1 if i < 2 else 0

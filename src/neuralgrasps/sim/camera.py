@@ -20,7 +20,8 @@ class DepthNoise:
     Attributes:
         axial_m: standard deviation along the ray at 1 m; it grows with the square of the depth.
         step_m: quantisation at 1 m, growing with the square of the depth; 0 = none.
-        grazing_dropout: share of pixels lost where the surface is seen edge-on (at 90 degrees; eighth power of its sine below).
+        grazing_dropout: share of pixels lost where the surface is seen edge-on (at 90 degrees; below, it falls with the
+            eighth power of the sine).
     """
 
     axial_m: float = 0.0015
