@@ -9,19 +9,18 @@ from numba import njit
 
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.grasps.contact import find_contacts
-from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
 from neuralgrasps.grasps.epsilon import epsilon, epsilon_upper_bound
+from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
 from neuralgrasps.grasps.wrench_space import characteristic_length, fill_grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand, pack_hand
-from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.synthesis.close import close_fingers, close_jaw, hand_clearance
+from neuralgrasps.synthesis.close import Closing, close_fingers, close_jaw, make_closing
+from neuralgrasps.synthesis.clusters import Clusters, cluster_points, hand_clearance
 
 CONE_EDGES = 8
 CONTACTS_PER_LINK = 3
-SCREEN_SPACING_M = 0.009
-CHECK_SPACING_M = 0.004
+SPACING_M = 0.004  # of the hand's surface points; at 9 mm, round links overlap by 2 mm between the points
 # Outcome of one candidate, from first to last obstacle.
 COLLIDES, FEW_CONTACTS, NO_FORCE_CLOSURE, PENETRATES, SELF_COLLIDES, VALID = range(6)
 OUTCOMES = ("collides", "few contacts", "no force closure", "penetrates", "self-collides", "valid")
@@ -34,7 +33,7 @@ class Candidates:
     Attributes:
         X_OH: (N, 4, 4); q: (N, J) after closing; q_start: (N, J) before it.
         epsilon: (N,) Ferrari-Canny quality, 0 unless the outcome is VALID.
-        penetration_m: (N,) deepest overlap, metres, measured at the screening spacing.
+        penetration_m: (N,) deepest overlap found, metres; 0 for candidates that failed before it was measured.
         outcome: (N,) int8, one of `OUTCOMES`.
     """
 
@@ -65,8 +64,8 @@ class GraspProblem:
     hand: Hand
     obj: ObjectModel
     packed: PackedHand
-    side: np.ndarray
-    axis_H: np.ndarray
+    clusters: Clusters
+    closing: Closing
     length: float
     friction: float
     torsion: float
@@ -82,24 +81,27 @@ def make_problem(
     hand: Hand,
     obj: ObjectModel,
     *,
-    spacing: float = SCREEN_SPACING_M,
+    spacing: float = SPACING_M,
     friction: float,
     torsion: float,
     contact_threshold_m: float,
     max_penetration_m: float,
 ) -> GraspProblem:
-    """Pack `hand` and `obj`. For a jaw, find which links close along the palm's x axis and which against it."""
-    side = np.zeros(hand.tree.num_links, np.int8)
-    axis_H = np.ascontiguousarray(hand.X_HP[:3, 0])
-    if hand.is_jaw:
-        opened, closed = forward_numpy(hand.tree, np.stack([hand.tree.upper, hand.tree.lower]))
-        side[:] = np.sign(np.round((closed - opened)[:, :3, 3] @ axis_H, 9)).astype(np.int8)
+    """Pack `hand` and `obj`.
+
+    Args:
+        hand, obj: the pair.
+        spacing: of the hand's surface points, metres.
+        friction: Coulomb coefficient; torsion: torsional friction, metres.
+        contact_threshold_m, max_penetration_m: see `SynthesisConfig`.
+    """
+    packed, clusters = cluster_points(pack_hand(hand, spacing=spacing))
     return GraspProblem(
         hand=hand,
         obj=obj,
-        packed=pack_hand(hand, spacing=spacing),
-        side=side,
-        axis_H=axis_H,
+        packed=packed,
+        clusters=clusters,
+        closing=make_closing(hand),
         length=characteristic_length(obj.points_O, obj.com_O),
         friction=friction,
         torsion=torsion,
@@ -110,7 +112,7 @@ def make_problem(
 
 @njit(cache=True, error_model="numpy")
 def _close_and_assess(
-    values, origin, inv_spacing, packed, is_jaw, side, axis_H, points_O, com, length, friction, torsion, threshold,
+    values, origin, inv_spacing, packed, clusters, closing, is_jaw, points_O, com, length, friction, torsion, threshold,
     max_penetration, X_OH, q, eps, penetration, outcome,
 ):  # fmt: skip
     links = packed.link_radius.shape[0]
@@ -123,9 +125,9 @@ def _close_and_assess(
         eps[i] = 0.0
         penetration[i] = 0.0
         if is_jaw:
-            closed = close_jaw(values, origin, inv_spacing, packed, side, axis_H, X_OH[i], q[i], X_HL)
+            closed = close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH[i], q[i], X_HL)
         else:
-            closed = close_fingers(values, origin, inv_spacing, packed, X_OH[i], q[i], X_HL)
+            closed = close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH[i], q[i], X_HL)
         if not closed:
             outcome[i] = COLLIDES
             continue
@@ -149,7 +151,7 @@ def _close_and_assess(
             outcome[i] = NO_FORCE_CLOSURE
             continue
         depth = max(
-            -hand_clearance(values, origin, inv_spacing, packed, X_OH[i], X_HL),
+            -hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH[i], X_HL),
             object_points_in_hand(points_O, values, origin, inv_spacing, packed, X_OH[i], X_HL),
         )
         penetration[i] = max(depth, 0.0)
@@ -172,7 +174,7 @@ def close_and_assess(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> 
     closed, count = q_start.copy(), len(q_start)
     eps, depth, outcome = np.zeros(count), np.zeros(count), np.zeros(count, np.int8)
     _close_and_assess(
-        *problem.sdf_arrays, problem.packed, hand.is_jaw, problem.side, problem.axis_H, obj.points_O, obj.com_O,
+        *problem.sdf_arrays, problem.packed, problem.clusters, problem.closing, hand.is_jaw, obj.points_O, obj.com_O,
         problem.length, problem.friction, problem.torsion, problem.contact_threshold_m, problem.max_penetration_m,
         X_OH, closed, eps, depth, outcome,
     )  # fmt: skip
@@ -216,4 +218,3 @@ def refine(
         index = np.where(better, len(best) + winner, np.arange(len(best)))
         best = Candidates.join([best, tried]).take(index)
     return best
-

@@ -8,186 +8,214 @@ carry it; joints further out go on (the breakaway of underactuated fingers is th
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.grasps.contact import link_pose_in_object
-from neuralgrasps.kinematics.forward_kernels import link_poses
+from neuralgrasps.hands.chains import moved_links
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.kinematics.forward_kernels import forward_numpy, link_poses
+from neuralgrasps.synthesis.clusters import hand_clearance, link_distance, sphere_distance
 
 CONTACT_M = 3.0e-4  # a link closer than this touches
-MAX_STEPS = 80
+START_OVERLAP_M = 1.0e-3  # a hand that starts deeper in the object cannot close
+MAX_STEPS = 160
+
+
+class Closing(NamedTuple):
+    """How a hand closes.
+
+    Attributes:
+        group (J,), link_group (L,) int64: joints that move a common link share a group and close in step; groups (mostly
+            fingers) do not affect each other's contacts and close one after the other. -1: not closing.
+        groups: number of groups.
+        side (L,) int8: of a jaw, +1 for links that close along `axis_H`, -1 against it, 0 for the palm.
+        axis_H (3,): the closing line of a jaw.
+        unit (J,): of a jaw, joint motion that advances the faster pad by 1 m.
+    """
+
+    group: np.ndarray
+    link_group: np.ndarray
+    groups: int
+    side: np.ndarray
+    axis_H: np.ndarray
+    unit: np.ndarray
+
+
+def make_closing(hand: Hand) -> Closing:
+    """Find which joints must close together, and for a jaw which links close along the palm's x axis."""
+    moved = moved_links(hand.tree) & (hand.closing_rate != 0)
+    group = np.where(hand.closing_rate != 0, np.arange(hand.num_dofs), -1)
+    for row in moved:
+        if row.any():
+            group[np.isin(group, group[row])] = group[row].min()
+    names = np.unique(group[group >= 0])
+    group = np.where(group >= 0, np.searchsorted(names, group), -1)
+    link_group = np.array([group[row].max() if row.any() else -1 for row in moved])
+    side, unit = np.zeros(hand.tree.num_links, np.int8), np.zeros(hand.num_dofs)
+    axis_H = np.ascontiguousarray(hand.X_HP[:3, 0])
+    if hand.is_jaw:
+        step = 1e-4 * hand.closing_rate / np.abs(hand.closing_rate).max()
+        before, after = forward_numpy(hand.tree, np.stack([hand.q_open, hand.q_open + step]))
+        advance = (after - before)[:, :3, 3] @ axis_H
+        side = np.sign(np.round(advance, 9)).astype(np.int8)
+        unit = step / max(float(np.abs(advance).max()), 1e-12)
+    return Closing(group.astype(np.int64), link_group.astype(np.int64), len(names), side, axis_H, unit)
 
 
 @njit(cache=True, error_model="numpy")
-def _bound(values, origin, inv_spacing, packed, X, link):
-    """Lower bound of a link's distance to the object, from its bounding sphere."""
+def _speed_bound(packed, X_HL, link, active):
+    """Largest speed (m/s) that any point of a link can have while the active joints close.
+
+    It also bounds the distance a point ends up from its start: turn the joints one by one, inner ones first, and none
+    changes a point's distance to the axes of those that follow.
+    """
     c = packed.link_centre[link]
-    x = X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3]
-    y = X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3]
-    z = X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3]
-    return grid_distance(values, origin, inv_spacing, x, y, z) - packed.link_radius[link]
-
-
-@njit(cache=True, error_model="numpy")
-def _link_distance(values, origin, inv_spacing, packed, X, link):
-    """Smallest signed distance of a link's surface points to the object."""
-    best = 1.0e9
-    for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
-        p = packed.point_L[k]
-        x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-        y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-        z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
-        best = min(best, grid_distance(values, origin, inv_spacing, x, y, z))
-    return best
-
-
-@njit(cache=True, error_model="numpy")
-def hand_clearance(values, origin, inv_spacing, packed, X_OH, X_HL):
-    """Smallest signed distance, metres, of the hand's surface points to the object."""
-    X = np.empty((3, 4))
-    best = 1.0e9
-    for link in range(packed.link_radius.shape[0]):
-        if packed.link_point_start[link] == packed.link_point_start[link + 1]:
-            continue
-        link_pose_in_object(X_OH, X_HL, link, X)
-        if _bound(values, origin, inv_spacing, packed, X, link) < best:
-            best = min(best, _link_distance(values, origin, inv_spacing, packed, X, link))
-    return best
-
-
-@njit(cache=True, error_model="numpy")
-def _speed_bound(packed, X_HL, link, rate, active):
-    """Largest speed (m/s) that any point of a link can have while the active joints close."""
-    c = packed.link_centre[link]
-    centre0 = X_HL[link, 0, 0] * c[0] + X_HL[link, 0, 1] * c[1] + X_HL[link, 0, 2] * c[2] + X_HL[link, 0, 3]
-    centre1 = X_HL[link, 1, 0] * c[0] + X_HL[link, 1, 1] * c[1] + X_HL[link, 1, 2] * c[2] + X_HL[link, 1, 3]
-    centre2 = X_HL[link, 2, 0] * c[0] + X_HL[link, 2, 1] * c[1] + X_HL[link, 2, 2] * c[2] + X_HL[link, 2, 3]
+    x = X_HL[link, 0, 0] * c[0] + X_HL[link, 0, 1] * c[1] + X_HL[link, 0, 2] * c[2] + X_HL[link, 0, 3]
+    y = X_HL[link, 1, 0] * c[0] + X_HL[link, 1, 1] * c[1] + X_HL[link, 1, 2] * c[2] + X_HL[link, 1, 3]
+    z = X_HL[link, 2, 0] * c[0] + X_HL[link, 2, 1] * c[1] + X_HL[link, 2, 2] * c[2] + X_HL[link, 2, 3]
     speed = 0.0
     i = link
     while i > 0:
-        joint_rate = 0.0
+        rate = 0.0
         if packed.joint_types[i] != 0:
-            for j in range(rate.shape[0]):
+            for j in range(active.shape[0]):
                 if active[j]:
-                    joint_rate += packed.coupling[i, j] * rate[j]
-        if joint_rate != 0.0 and packed.joint_types[i] == 1:
-            dx = centre0 - X_HL[i, 0, 3]
-            dy = centre1 - X_HL[i, 1, 3]
-            dz = centre2 - X_HL[i, 2, 3]
-            speed += abs(joint_rate) * (math.sqrt(dx * dx + dy * dy + dz * dz) + packed.link_radius[link])
-        elif joint_rate != 0.0:
-            speed += abs(joint_rate)
+                    rate += packed.coupling[i, j] * packed.closing_rate[j]
+        if rate != 0.0 and packed.joint_types[i] == 1:
+            a = packed.axes[i]
+            u = X_HL[i, 0, 0] * a[0] + X_HL[i, 0, 1] * a[1] + X_HL[i, 0, 2] * a[2]
+            v = X_HL[i, 1, 0] * a[0] + X_HL[i, 1, 1] * a[1] + X_HL[i, 1, 2] * a[2]
+            w = X_HL[i, 2, 0] * a[0] + X_HL[i, 2, 1] * a[1] + X_HL[i, 2, 2] * a[2]
+            dx, dy, dz = x - X_HL[i, 0, 3], y - X_HL[i, 1, 3], z - X_HL[i, 2, 3]
+            along = dx * u + dy * v + dz * w
+            lever = math.sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
+            speed += abs(rate) * (lever + packed.link_radius[link])
+        elif rate != 0.0:
+            speed += abs(rate)
         i = packed.parents[i]
     return speed
 
 
 @njit(cache=True, error_model="numpy")
-def _freeze(packed, link, rate, active):
+def _freeze(packed, link, active):
     """Stop every closing joint that carries `link`."""
     i = link
     while i > 0:
-        for j in range(rate.shape[0]):
-            if packed.coupling[i, j] != 0.0 and rate[j] != 0.0:
+        for j in range(active.shape[0]):
+            if packed.coupling[i, j] != 0.0:
                 active[j] = False
         i = packed.parents[i]
 
 
 @njit(cache=True, error_model="numpy")
-def close_fingers(values, origin, inv_spacing, packed, X_OH, q, X_HL):
-    """Close one hand in place: `q` (J,) and its link poses `X_HL` (L, 4, 4) end in contact.
+def _room(packed, q, active):
+    """Time until the first active joint meets its limit; joints at their limit stop."""
+    step = 1.0e9
+    for j in range(q.shape[0]):
+        if active[j]:
+            rate = packed.closing_rate[j]
+            room = (packed.upper[j] - q[j]) if rate > 0.0 else (q[j] - packed.lower[j])
+            if room < 1.0e-6:
+                active[j] = False
+            else:
+                step = min(step, room / abs(rate))
+    return step
 
-    Returns False when the start already penetrates by more than 1 mm.
-    """
-    num_dofs = q.shape[0]
-    rate = packed.closing_rate
-    active = np.empty(num_dofs, np.bool_)
-    for j in range(num_dofs):
-        active[j] = rate[j] != 0.0
-    X = np.empty((3, 4))
-    tree = (packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset)
-    link_poses(tree[0], tree[1], tree[2], tree[3], tree[4], tree[5], q, X_HL)
-    if hand_clearance(values, origin, inv_spacing, packed, X_OH, X_HL) < -1.0e-3:
-        return False
+
+@njit(cache=True, error_model="numpy")
+def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X):
     for _ in range(MAX_STEPS):
-        step = 1.0e9
-        for j in range(num_dofs):
-            if active[j]:
-                room = (packed.upper[j] - q[j]) if rate[j] > 0.0 else (q[j] - packed.lower[j])
-                if room < 1.0e-6:
-                    active[j] = False
-                else:
-                    step = min(step, room / abs(rate[j]))
+        step = _room(packed, q, active)
         for link in range(1, packed.link_radius.shape[0]):
-            if packed.link_point_start[link] == packed.link_point_start[link + 1]:
+            if closing.link_group[link] != group or clusters.of_link[link] == clusters.of_link[link + 1]:
                 continue
-            speed = _speed_bound(packed, X_HL, link, rate, active)
+            speed = _speed_bound(packed, X_HL, link, active)
             if speed == 0.0:
                 continue
             link_pose_in_object(X_OH, X_HL, link, X)
-            distance = _bound(values, origin, inv_spacing, packed, X, link)
-            if distance < step * speed + CONTACT_M:
-                distance = _link_distance(values, origin, inv_spacing, packed, X, link)
+            reach = step * speed + CONTACT_M
+            distance = sphere_distance(values, origin, inv_spacing, packed, X, link)
+            if distance < reach:
+                distance = link_distance(values, origin, inv_spacing, packed, clusters, X, link, reach)
                 if distance < CONTACT_M:
-                    _freeze(packed, link, rate, active)
+                    _freeze(packed, link, active)
                     continue
             step = min(step, (distance - 0.5 * CONTACT_M) / speed)
         moving = False
-        for j in range(num_dofs):
+        for j in range(q.shape[0]):
             if active[j]:
-                q[j] = min(max(q[j] + step * rate[j], packed.lower[j]), packed.upper[j])
+                q[j] = min(max(q[j] + step * packed.closing_rate[j], packed.lower[j]), packed.upper[j])
                 moving = True
         if not moving:
             break
-        link_poses(tree[0], tree[1], tree[2], tree[3], tree[4], tree[5], q, X_HL)
+        link_poses(
+            packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
+            q, X_HL,
+        )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):
+    """Close one hand in place: `q` (J,) and its link poses `X_HL` (L, 4, 4) end in contact.
+
+    Returns False when the start already penetrates by more than `START_OVERLAP_M`.
+    """
+    link_poses(
+        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, X_HL
+    )
+    if hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH, X_HL) < -START_OVERLAP_M:
+        return False
+    X, active = np.empty((3, 4)), np.empty(q.shape[0], np.bool_)
+    for group in range(closing.groups):
+        for j in range(q.shape[0]):
+            active[j] = closing.group[j] == group
+        _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X)
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def close_jaw(values, origin, inv_spacing, packed, side, axis_H, X_OH, q, X_HL):
-    """Close a parallel jaw in place and centre it: `q` (1,), `X_OH` and `X_HL` change.
+def close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):
+    """Close a parallel jaw in place and centre it: `q` (J,), `X_OH` and `X_HL` change.
 
-    `side` (L,) is +1 for links that close along `axis_H`, -1 for those that close against it, 0 for the palm.
     Both pads advance by their own distance at once: half of the sum closes the jaw, half of the
     difference shifts the hand. Returns True when both pads touch and nothing penetrates.
     """
     X = np.empty((3, 4))
-    axis = np.empty(3)
-    per_unit = 0.0
-    for link in range(side.shape[0]):
-        per_unit = max(per_unit, abs(packed.coupling[link, 0]))
-    tree = (packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset)
+    nearest = np.empty(3)  # against the axis, palm, along the axis
     for _ in range(MAX_STEPS):
-        link_poses(tree[0], tree[1], tree[2], tree[3], tree[4], tree[5], q, X_HL)
-        plus, minus, palm = 1.0e9, 1.0e9, 1.0e9
-        for link in range(side.shape[0]):
-            if packed.link_point_start[link] == packed.link_point_start[link + 1]:
+        link_poses(
+            packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
+            q, X_HL,
+        )  # fmt: skip
+        nearest[:] = 1.0e9
+        for link in range(closing.side.shape[0]):
+            if clusters.of_link[link] == clusters.of_link[link + 1]:
                 continue
             link_pose_in_object(X_OH, X_HL, link, X)
-            distance = _link_distance(values, origin, inv_spacing, packed, X, link)
-            if side[link] > 0:
-                plus = min(plus, distance)
-            elif side[link] < 0:
-                minus = min(minus, distance)
-            else:
-                palm = min(palm, distance)
-        if plus < -1.0e-3 or minus < -1.0e-3 or palm < -1.0e-3:
+            s = closing.side[link] + 1
+            if sphere_distance(values, origin, inv_spacing, packed, X, link) < nearest[s]:
+                nearest[s] = link_distance(values, origin, inv_spacing, packed, clusters, X, link, nearest[s])
+        if nearest.min() < -START_OVERLAP_M:
             return False
-        if plus < CONTACT_M and minus < CONTACT_M:
+        if nearest[0] < CONTACT_M and nearest[2] < CONTACT_M:
             return True
-        plus = max(plus - 0.5 * CONTACT_M, 0.0)
-        minus = max(minus - 0.5 * CONTACT_M, 0.0)
-        room = (q[0] - packed.lower[0]) * per_unit
-        shift = 0.5 * (plus - minus)
-        free = max(palm - 1.0e-4, 0.0)
-        shift = min(max(shift, -free), free)
-        closing = min(min(plus - shift, minus + shift), room)
-        if closing < 1.0e-6 and abs(shift) < 1.0e-6:
+        minus, plus = max(nearest[0] - 0.5 * CONTACT_M, 0.0), max(nearest[2] - 0.5 * CONTACT_M, 0.0)
+        room = 1.0e9
+        for j in range(q.shape[0]):
+            if closing.unit[j] != 0.0:
+                end = packed.upper[j] if closing.unit[j] > 0.0 else packed.lower[j]
+                room = min(room, max((end - q[j]) / closing.unit[j], 0.0))
+        free = max(nearest[1] - 1.0e-4, 0.0)  # how far the palm may shift
+        shift = min(max(0.5 * (plus - minus), -free), free)
+        advance = min(min(plus - shift, minus + shift), room)
+        if advance < 1.0e-6 and abs(shift) < 1.0e-6:
             return False
-        q[0] -= closing / per_unit
+        for j in range(q.shape[0]):
+            q[j] += advance * closing.unit[j]
         for k in range(3):
-            axis[k] = X_OH[k, 0] * axis_H[0] + X_OH[k, 1] * axis_H[1] + X_OH[k, 2] * axis_H[2]
-        for k in range(3):
-            X_OH[k, 3] += shift * axis[k]
+            for m in range(3):
+                X_OH[k, 3] += shift * X_OH[k, m] * closing.axis_H[m]
     return False

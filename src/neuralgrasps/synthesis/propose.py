@@ -13,10 +13,10 @@ from numba import njit
 
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.synthesis.close import hand_clearance
+from neuralgrasps.synthesis.candidates import GraspProblem
+from neuralgrasps.synthesis.clusters import hand_clearance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,9 +76,7 @@ def _trace_through(values, origin, inv_spacing, start, direction, max_width, out
 def _antipodal_pairs(values, origin, inv_spacing, points, directions, max_width, cos_cone, exits, keep):
     normal = np.empty(3)
     for i in range(points.shape[0]):
-        found = _trace_through(
-            values, origin, inv_spacing, points[i], directions[i], max_width, exits[i], normal
-        )
+        found = _trace_through(values, origin, inv_spacing, points[i], directions[i], max_width, exits[i], normal)
         along = normal[0] * directions[i, 0] + normal[1] * directions[i, 1] + normal[2] * directions[i, 2]
         keep[i] = found and along >= cos_cone
 
@@ -131,13 +129,13 @@ def draw_preshapes(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarr
 
 
 @njit(cache=True, error_model="numpy")
-def _advance_to_contact(values, origin, inv_spacing, packed, X_OH, X_HL, approach, contact_m, max_travel, travel):
+def _advance_to_contact(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, approach, contact_m, max_travel, travel):
     """Sphere-trace every open hand along its approach; `travel[i]` < 0 when it passes by the object."""
     for i in range(X_OH.shape[0]):
         gone = 0.0
         X = X_OH[i].copy()
         for _ in range(60):
-            d = hand_clearance(values, origin, inv_spacing, packed, X, X_HL[i])
+            d = hand_clearance(values, origin, inv_spacing, packed, clusters, X, X_HL[i])
             if d < contact_m or gone > max_travel:
                 break
             gone += d - 0.5 * contact_m
@@ -146,13 +144,12 @@ def _advance_to_contact(values, origin, inv_spacing, packed, X_OH, X_HL, approac
         travel[i] = gone if d < contact_m and gone > 0.0 else -1.0
 
 
-def propose_dexterous(
-    hand: Hand, packed: PackedHand, obj: ObjectModel, *, count: int, rng: np.random.Generator
-) -> Proposals:
+def propose_dexterous(problem: GraspProblem, *, count: int, rng: np.random.Generator) -> Proposals:
     """Approach a random surface point along its normal (sd 0.35), random roll and preshape, up to first contact.
 
     70 % of the hands then back off by |N(0, 12 mm)|; the rest stay with the palm or a finger touching.
     """
+    hand, obj = problem.hand, problem.obj
     index = rng.integers(len(obj.points_O), size=count)
     approach = -obj.normals_O[index] + 0.35 * rng.standard_normal((count, 3))
     approach /= np.linalg.norm(approach, axis=1, keepdims=True)
@@ -165,7 +162,7 @@ def propose_dexterous(
     travel = np.empty(count)
     sdf = obj.sdf
     _advance_to_contact(
-        sdf.values, sdf.origin, sdf.inv_spacing, packed, X_OH, forward_fast(hand.tree, q),
+        sdf.values, sdf.origin, sdf.inv_spacing, problem.packed, problem.clusters, X_OH, forward_fast(hand.tree, q),
         approach, 1.0e-3, reach + 0.05, travel,
     )  # fmt: skip
     hit = travel > 0.0

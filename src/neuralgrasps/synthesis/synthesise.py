@@ -10,9 +10,9 @@ import numpy as np
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.contact import find_contacts
+from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate, empty_grasps
 from neuralgrasps.grasps.penetration import penetration_depths
-from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
@@ -21,7 +21,6 @@ from neuralgrasps.seeds import child_rng
 from neuralgrasps.sim.grasp_trial import validate_grasps
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import (
-    CHECK_SPACING_M,
     CONE_EDGES,
     CONTACTS_PER_LINK,
     OUTCOMES,
@@ -139,10 +138,6 @@ def synthesise(
         hand, obj, friction=config.friction, torsion=config.torsion_m,
         contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
     )  # fmt: skip
-    fine = make_problem(
-        hand, obj, spacing=CHECK_SPACING_M, friction=config.friction, torsion=config.torsion_m,
-        contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
-    )  # fmt: skip
     watch = _Stopwatch()
     kept: list[GraspSet] = []
     outcomes = np.zeros(len(OUTCOMES), np.int64)
@@ -159,7 +154,7 @@ def synthesise(
         refined = _refine_diverse(problem, closed.take(closed.outcome == VALID), config, rng)
         watch.add("refine", start)
         start = time.process_time()
-        grasps = finish_grasps(fine, refined, config=config, seed=seed)
+        grasps = finish_grasps(problem, refined, config=config, seed=seed)
         watch.add("check", start)
         start = time.process_time()
         good, used = _prove(hand, obj, grasps, config, wanted=config.count - held)
@@ -190,7 +185,7 @@ def _propose(problem: GraspProblem, config: SynthesisConfig, rng: np.random.Gene
             problem.hand, problem.obj, count=config.batch, friction=config.friction,
             pad_depth_m=config.pad_depth_m, rng=rng,
         )  # fmt: skip
-    return propose_dexterous(problem.hand, problem.packed, problem.obj, count=config.batch, rng=rng)
+    return propose_dexterous(problem, count=config.batch, rng=rng)
 
 
 def _refine_diverse(
@@ -202,9 +197,7 @@ def _refine_diverse(
     best = valid.take(np.argsort(-valid.epsilon, kind="stable")[: max(config.niches, (len(valid) + 1) // 2)])
     niches = best.take(diverse_order(problem.hand, best.X_OH, best.q, start=0, count=config.niches))
     refined = refine(problem, niches, generations=config.generations, children=config.children, rng=rng)
-    return refined.take(
-        diverse_order(problem.hand, refined.X_OH, refined.q, start=int(refined.epsilon.argmax()))
-    )
+    return refined.take(diverse_order(problem.hand, refined.X_OH, refined.q, start=int(refined.epsilon.argmax())))
 
 
 def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisConfig, seed: int) -> GraspSet:
@@ -288,4 +281,6 @@ def _reason(problem: GraspProblem, outcomes: np.ndarray, held: int, tried: int, 
     if outcomes[VALID] == 0:
         worst = int(outcomes[:VALID].argmax())
         return f"none of {total} closed hands is a valid grasp; most fail because: {OUTCOMES[worst]}"
-    return f"{held} of {tried} grasps held '{config.protocol}'; {config.count} were wanted in {config.max_rounds} rounds"
+    return (
+        f"{held} of {tried} grasps held '{config.protocol}'; {config.count} were wanted in {config.max_rounds} rounds"
+    )
