@@ -235,8 +235,8 @@ def _inference_table(data: DemoData) -> Table:
         columns=("object", "grasps", "encoded mm", "inferred mm", "inferred p95 mm", "gap encoded", "gap inferred"),
         rows=tuple(rows),
         meaning="Encoded: pose and joints are given, and the code keeps them, so decoding is exact up to rounding. "
-        "Inferred: only unlabelled points on the hand's surface are given; pose and joints are found by search. The gap "
-        "is the contact similarity lost against the best neighbour in the gallery.",
+        "Inferred: only unlabelled points on the hand's surface are given; pose and joints are found by search. The "
+        "gap is the contact similarity lost against the best neighbour in the gallery.",
         how="Mean two-sided distance between the true and the decoded hand's surfaces; grasps that training never saw.",
     )
 
@@ -257,8 +257,8 @@ def _pose_table(data: DemoData) -> Table:
         columns=("object", "views", "ADD-S mm", "rotation deg", "translation mm", "seconds", "MSSD < 0.1 d"),
         rows=tuple(rows),
         meaning="Medians; errors modulo the object's symmetry. The object stands on a table in a random stable pose, "
-        "seen from 0.5 to 1.2 m with simulated sensor noise, cut out by the table's height. Easy views: nothing hides the "
-        "object.",
+        "seen from 0.5 to 1.2 m with simulated sensor noise, cut out by the table's height. Easy views: nothing hides "
+        "the object.",
         how="The pose is found from the points alone by 2,000 starts on the signed distance; one thread.",
     )
 
