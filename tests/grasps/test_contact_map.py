@@ -95,3 +95,13 @@ def test_wrong_input_is_refused(jaw, X_OH):
         contact_map_from_points(np.zeros((2, 3)), np.zeros((0, 3)))
     with pytest.raises(ShapeError):
         contact_distance_matrix(np.zeros((2, 3)), np.zeros((2, 4)))
+
+
+def test_numpy_arrays_give_the_same_map_as_tensors() -> None:
+    hand = load_hand("fetch")
+    points = np.random.default_rng(3).normal(scale=0.1, size=(50, 3))
+    X, q = np.eye(4)[None], hand.q_open[None]
+    from_numpy = contact_map(points, hand, X, q, radius=0.02)
+    from_torch = contact_map(*(torch.from_numpy(points), hand, torch.from_numpy(X), torch.from_numpy(q)), radius=0.02)
+    assert 0.0 < float(from_torch.max()) <= 1.0
+    torch.testing.assert_close(from_numpy, from_torch, rtol=0, atol=0)

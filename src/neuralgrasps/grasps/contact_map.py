@@ -26,12 +26,19 @@ CHUNK_PAIRS = 65536  # hand-point pairs per call; bounds the memory of the exact
 
 
 def contact_map(
-    points_O: Tensor, hand: Hand, X_OH: Tensor, q: Tensor, *, radius: float = RADIUS_M, chunk_pairs: int = CHUNK_PAIRS
+    points_O: Tensor | np.ndarray,
+    hand: Hand,
+    X_OH: Tensor | np.ndarray,
+    q: Tensor | np.ndarray,
+    *,
+    radius: float = RADIUS_M,
+    chunk_pairs: int = CHUNK_PAIRS,
 ) -> Tensor:
     """Closeness of each object point to each posed hand, in [0, 1].
 
     Args:
-        points_O: (P, 3) object surface points, object frame, metres, or (N, P, 3) per grasp.
+        points_O: (P, 3) object surface points, object frame, metres, or (N, P, 3) per grasp; torch or numpy, like the
+            other arrays.
         hand: the hand that `q` belongs to.
         X_OH: (N, 4, 4) hand base in the object frame; q: (N, J) rad or metres.
         radius: decay length, metres, > 0.
@@ -46,6 +53,9 @@ def contact_map(
     from neuralgrasps.hands.signed_distance import hand_signed_distance  # noqa: PLC0415 - imports torch
 
     _check_radius(radius)
+    points_O, X_OH, q = (
+        a if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(a, np.float64)) for a in (points_O, X_OH, q)
+    )
     check_shape("points_O", tuple(points_O.shape), (None, 3))
     check_shape("X_OH", tuple(X_OH.shape), (None, 4, 4))
     check_shape("q", tuple(q.shape), (len(X_OH), hand.num_dofs))
