@@ -97,7 +97,7 @@ def _numbers(k: Intrinsics) -> tuple[float, float, float, float]:
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _pixel_box(p, near, fx, fy, cx, cy, width, height):
+def _pixel_box(p, near, fx, fy, cx, cy, width, height):  # type: ignore[no-untyped-def]
     """First and one-past-last column and row whose centres a triangle (3, 3) can cover; empty when out of view."""
     low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
     for i in range(3):
@@ -126,7 +126,7 @@ def _pixel_box(p, near, fx, fy, cx, cy, width, height):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _edge_planes(p, planes):
+def _edge_planes(p, planes):  # type: ignore[no-untyped-def]
     """Write p1 x p2, p2 x p0, p0 x p1 into `planes` (3, 3), signed so that inside is >= 0; return their scale."""
     for i in range(3):
         a = i + 1 if i < 2 else 0
@@ -144,7 +144,7 @@ def _edge_planes(p, planes):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, face_index, barycentric):
+def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, face_index, barycentric):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     p = np.empty((3, 3))
     e = np.empty((3, 3))
@@ -177,7 +177,7 @@ def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, f
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _raster_depth(points, faces, fx, fy, cx, cy, near, depth):
+def _raster_depth(points, faces, fx, fy, cx, cy, near, depth):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     p = np.empty((3, 3))
     e = np.empty((3, 3))

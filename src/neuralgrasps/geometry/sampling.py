@@ -39,7 +39,7 @@ def farthest_points(points: ArrayLike, count: int, *, start: int = 0) -> IndexAr
 
 
 @njit(cache=True, error_model="numpy")
-def _farthest_points_3d(x, y, z, count, start):
+def _farthest_points_3d(x, y, z, count, start):  # type: ignore[no-untyped-def]
     n = x.shape[0]
     chosen = np.empty(count, dtype=np.int64)
     nearest = np.full(n, np.inf)
@@ -56,7 +56,7 @@ def _farthest_points_3d(x, y, z, count, start):
 
 
 @njit(cache=True, error_model="numpy")
-def _farthest_points(columns, count, start):
+def _farthest_points(columns, count, start):  # type: ignore[no-untyped-def]
     dims, n = columns.shape
     chosen = np.empty(count, dtype=np.int64)
     nearest = np.full(n, np.inf)
@@ -77,7 +77,7 @@ def _farthest_points(columns, count, start):
 
 
 @njit(cache=True, error_model="numpy")
-def _argmax(values):
+def _argmax(values):  # type: ignore[no-untyped-def]
     best = 0
     for i in range(values.shape[0]):
         if values[i] > values[best]:
@@ -123,7 +123,7 @@ def _thin(points: FloatArray, distance: float) -> IndexArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _thin_kernel(points, cells, distance):
+def _thin_kernel(points, cells, distance):  # type: ignore[no-untyped-def]
     """Dart throwing on a hash grid of the accepted points."""
     n = points.shape[0]
     size = 1
@@ -154,5 +154,5 @@ def _thin_kernel(points, cells, distance):
 
 
 @njit(cache=True, error_model="numpy")
-def _hash(i, j, k, size):
+def _hash(i, j, k, size):  # type: ignore[no-untyped-def]
     return ((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (size - 1)

@@ -117,7 +117,7 @@ def _node_positions(origin: NDArray[np.float64], spacing: float, index: NDArray[
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def grid_distance(values, origin, inv_spacing, x, y, z):
+def grid_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """Trilinear signed distance at (x, y, z): metres, float64."""
     nx, ny, nz = values.shape
     u = (x - origin[0]) * inv_spacing
@@ -143,7 +143,7 @@ def grid_distance(values, origin, inv_spacing, x, y, z):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def grid_distance_gradient(values, origin, inv_spacing, x, y, z):
+def grid_distance_gradient(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """(d, gx, gy, gz): `grid_distance` and its exact gradient, 1 / 1, not normalised (its length is about 1)."""
     nx, ny, nz = values.shape
     u = (x - origin[0]) * inv_spacing
@@ -189,14 +189,14 @@ def grid_distance_gradient(values, origin, inv_spacing, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def grid_distances(values, origin, inv_spacing, points, out):
+def grid_distances(values, origin, inv_spacing, points, out):  # type: ignore[no-untyped-def]
     """`grid_distance` of points (M, 3) into out (M,)."""
     for m in range(points.shape[0]):
         out[m] = grid_distance(values, origin, inv_spacing, points[m, 0], points[m, 1], points[m, 2])
 
 
 @njit(cache=True, error_model="numpy")
-def grid_distances_gradients(values, origin, inv_spacing, points, out, gradients):
+def grid_distances_gradients(values, origin, inv_spacing, points, out, gradients):  # type: ignore[no-untyped-def]
     """`grid_distance_gradient` of points (M, 3) into out (M,) and gradients (M, 3)."""
     for m in range(points.shape[0]):
         d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, points[m, 0], points[m, 1], points[m, 2])

@@ -11,7 +11,7 @@ from numba import njit
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def box_sdf(x, y, z, hx, hy, hz):
+def box_sdf(x, y, z, hx, hy, hz):  # type: ignore[no-untyped-def]
     """Box of half sizes hx, hy, hz."""
     dx = abs(x) - hx
     dy = abs(y) - hy
@@ -23,20 +23,20 @@ def box_sdf(x, y, z, hx, hy, hz):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def sphere_sdf(x, y, z, radius):
+def sphere_sdf(x, y, z, radius):  # type: ignore[no-untyped-def]
     """Sphere of `radius`."""
     return math.sqrt(x * x + y * y + z * z) - radius
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def capsule_sdf(x, y, z, radius, half_length):
+def capsule_sdf(x, y, z, radius, half_length):  # type: ignore[no-untyped-def]
     """All points within `radius` of the segment from z = -half_length to half_length."""
     oz = max(abs(z) - half_length, 0.0)
     return math.sqrt(x * x + y * y + oz * oz) - radius
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def cylinder_sdf(x, y, z, radius, half_height):
+def cylinder_sdf(x, y, z, radius, half_height):  # type: ignore[no-untyped-def]
     """Cylinder with flat caps at z = +-half_height."""
     dr = math.sqrt(x * x + y * y) - radius
     dz = abs(z) - half_height
@@ -46,7 +46,7 @@ def cylinder_sdf(x, y, z, radius, half_height):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def segment_distance_squared(px, py, pz, ux, uy, uz):
+def segment_distance_squared(px, py, pz, ux, uy, uz):  # type: ignore[no-untyped-def]
     """Squared distance from p to the segment from the origin to u, which may have no length."""
     length = ux * ux + uy * uy + uz * uz
     t = 0.0
@@ -59,7 +59,7 @@ def segment_distance_squared(px, py, pz, ux, uy, uz):
 
 
 @njit(cache=True, error_model="numpy")
-def triangle_distance_squared(x, y, z, triangles, i):
+def triangle_distance_squared(x, y, z, triangles, i):  # type: ignore[no-untyped-def]
     """Squared distance from (x, y, z) to triangle i of (T, 3, 3), which may be a sliver.
 
     The foot on the plane if it falls inside, else the nearest edge.
@@ -84,7 +84,7 @@ def triangle_distance_squared(x, y, z, triangles, i):
 
 
 @njit(cache=True, error_model="numpy")
-def convex_sdf(x, y, z, planes, triangles):
+def convex_sdf(x, y, z, planes, triangles):  # type: ignore[no-untyped-def]
     """Convex polytope: planes (P, 4) with n . x + d <= 0 inside, n unit length; triangles (T, 3, 3) wound outward.
 
     Inside it is the largest plane distance; outside the distance to the nearest triangle. A triangle whose plane is

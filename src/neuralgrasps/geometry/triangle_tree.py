@@ -41,7 +41,7 @@ def grid_unsigned_distance(mesh: Mesh, origin: FloatArray, spacing: float, sides
 
 
 @njit(cache=True, error_model="numpy")
-def _build(triangles):
+def _build(triangles):  # type: ignore[no-untyped-def]
     """Boxes (N, 6), second child (N,) or -1 for a leaf (the first is the next node), ranges (N, 2) into order (T,)."""
     count = triangles.shape[0]
     centre = np.empty((count, 3))
@@ -85,7 +85,7 @@ def _build(triangles):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _box_distance_squared(boxes, node, x, y, z):
+def _box_distance_squared(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     dx = max(boxes[node, 0] - x, x - boxes[node, 3], 0.0)
     dy = max(boxes[node, 1] - y, y - boxes[node, 4], 0.0)
     dz = max(boxes[node, 2] - z, z - boxes[node, 5], 0.0)
@@ -93,7 +93,7 @@ def _box_distance_squared(boxes, node, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest(boxes, second_child, ranges, triangles, x, y, z, guess, nodes, bounds):
+def _nearest(boxes, second_child, ranges, triangles, x, y, z, guess, nodes, bounds):  # type: ignore[no-untyped-def]
     """Nearest triangle and its squared distance, given any triangle as a first guess; nodes and bounds are scratch."""
     best = guess
     nearest = triangle_distance_squared(x, y, z, triangles, guess)
@@ -126,7 +126,7 @@ def _nearest(boxes, second_child, ranges, triangles, x, y, z, guess, nodes, boun
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_slab(boxes, second_child, ranges, triangles, origin, spacing, i_start, i_end, out):
+def _fill_slab(boxes, second_child, ranges, triangles, origin, spacing, i_start, i_end, out):  # type: ignore[no-untyped-def]
     nodes = np.empty(_STACK, dtype=np.int64)
     bounds = np.empty(_STACK)
     row_guess = 0

@@ -15,7 +15,7 @@ MIN_SEPARATION_M = 1.0e-3  # nearer points of one link count as one contact
 
 
 @njit(cache=True, error_model="numpy")
-def link_pose_in_object(X_OH, X_HL, link, out):
+def link_pose_in_object(X_OH, X_HL, link, out):  # type: ignore[no-untyped-def]
     """out (3, 4) = X_OH @ X_HL[link], upper three rows."""
     for r in range(3):
         for c in range(4):
@@ -24,7 +24,7 @@ def link_pose_in_object(X_OH, X_HL, link, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _touching_points(values, origin, inv_spacing, packed, X, link, threshold, points, normals):
+def _touching_points(values, origin, inv_spacing, packed, X, link, threshold, points, normals):  # type: ignore[no-untyped-def]
     """Points of a link nearer than `threshold`, projected on the object, the nearest first; returns how many."""
     count, nearest, closest = 0, 0, np.inf
     for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
@@ -51,7 +51,7 @@ def _touching_points(values, origin, inv_spacing, packed, X, link, threshold, po
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(
+def find_contacts(  # type: ignore[no-untyped-def]
     sdf_values, origin, inv_spacing, packed, X_OH, X_HL, threshold, max_per_link, out_points, out_normals, out_links
 ):
     """Contacts of one posed hand: per link at most `max_per_link` far-apart points, nearest first.

@@ -31,7 +31,7 @@ _AXES = _fixed_axes()
 
 
 @njit(cache=True, error_model="numpy")
-def _lowest_supports(columns, count, starts, start_directions):
+def _lowest_supports(columns, count, starts, start_directions):  # type: ignore[no-untyped-def]
     """Lowest support over the 192 directions; fills `starts` of the lowest, stops at the first that is <= 0."""
     lowest = np.full(starts, np.inf)
     values = np.empty(count)
@@ -65,7 +65,7 @@ def _lowest_supports(columns, count, starts, start_directions):
 
 
 @njit(cache=True, error_model="numpy")
-def _ratio(slack, column, count):
+def _ratio(slack, column, count):  # type: ignore[no-untyped-def]
     """Step to the first constraint that blocks a move along `column` (d slack / d t), and its index (-1 = none)."""
     step, block = np.inf, -1
     for i in range(count):
@@ -76,7 +76,7 @@ def _ratio(slack, column, count):
 
 
 @njit(cache=True, error_model="numpy")
-def _pivot(table, edges, slack, x, count, column, row, step):
+def _pivot(table, edges, slack, x, count, column, row, step):  # type: ignore[no-untyped-def]
     """Move along `column` by `step` until slack `row` is 0, then let that slack take the column's place."""
     for i in range(count):
         slack[i] += step * table[column, i]
@@ -100,7 +100,7 @@ def _pivot(table, edges, slack, x, count, column, row, step):
 
 
 @njit(cache=True, error_model="numpy")
-def _to_vertex(columns, count, direction, table, edges, slack, x, basis):
+def _to_vertex(columns, count, direction, table, edges, slack, x, basis):  # type: ignore[no-untyped-def]
     """Climb from the origin along `direction`, then along growing |x|, to a vertex. False: the polar is unbounded."""
     for i in range(count):
         # distinct right-hand sides make every vertex simple (no ties, no cycling); removed again in `_radius`
@@ -158,7 +158,7 @@ def _to_vertex(columns, count, direction, table, edges, slack, x, basis):
 
 
 @njit(cache=True, error_model="numpy")
-def _squared(x):
+def _squared(x):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(6):
         total += x[k] * x[k]
@@ -166,7 +166,7 @@ def _squared(x):
 
 
 @njit(cache=True, error_model="numpy")
-def _is_bounded(columns, count, table, edges, slack, x, basis):
+def _is_bounded(columns, count, table, edges, slack, x, basis):  # type: ignore[no-untyped-def]
     """Exact test of force closure from any vertex: is max c.x with c = -mean(w) bounded?
 
     A direction r of the polar's recession cone has w_i.r <= 0 for all i, hence c.r > 0 unless all are 0 (which
@@ -199,7 +199,7 @@ def _is_bounded(columns, count, table, edges, slack, x, basis):
 
 
 @njit(cache=True, error_model="numpy")
-def _is_new_vertex(basis, visited):
+def _is_new_vertex(basis, visited):  # type: ignore[no-untyped-def]
     """Whether the set of rows `basis` was not in the hash table `visited` (zeros = free slots); adds it."""
     key = np.uint64(0)
     for j in range(6):  # a sum of mixed indices does not depend on their order
@@ -219,7 +219,7 @@ def _is_new_vertex(basis, visited):
 
 
 @njit(cache=True, error_model="numpy")
-def _climb(count, table, edges, slack, x, basis, visited):
+def _climb(count, table, edges, slack, x, basis, visited):  # type: ignore[no-untyped-def]
     """Walk to the farthest neighbouring vertex until none is farther, or another walk has been there.
 
     Returns 1 at a new local maximum, 0 when it joined an earlier walk, -1 when an edge has no end.
@@ -247,7 +247,7 @@ def _climb(count, table, edges, slack, x, basis, visited):
 
 
 @njit(cache=True, error_model="numpy")
-def _radius(columns, basis):
+def _radius(columns, basis):  # type: ignore[no-untyped-def]
     """1 / |x| at the vertex of the unperturbed constraints `basis`."""
     matrix, ones = np.empty((6, 6)), np.ones(6)
     for j in range(6):
@@ -276,7 +276,7 @@ def _radius(columns, basis):
 
 
 @njit(cache=True, error_model="numpy")
-def _escape(columns, count, table, edges, slack, x, basis, visited, best):
+def _escape(columns, count, table, edges, slack, x, basis, visited, best):  # type: ignore[no-untyped-def]
     """Least radius found at a local maximum and by climbing again from each of its neighbours; 0.0 = unbounded."""
     result = _radius(columns, basis)
     if result > _ESCAPE * best:
@@ -303,7 +303,7 @@ def _escape(columns, count, table, edges, slack, x, basis, visited, best):
 
 
 @njit(cache=True, error_model="numpy")
-def epsilon(wrenches, starts=STARTS):
+def epsilon(wrenches, starts=STARTS):  # type: ignore[no-untyped-def]
     """Radius of the largest origin-centred ball in the hull of `wrenches`; 0.0 without force closure.
 
     epsilon = 1 / max |x| over the polar polytope {x : w_i.x <= 1}. The grasp is rejected when any of 192 fixed
@@ -351,7 +351,7 @@ def epsilon(wrenches, starts=STARTS):
 
 
 @njit(cache=True, error_model="numpy")
-def epsilon_upper_bound(wrenches):
+def epsilon_upper_bound(wrenches):  # type: ignore[no-untyped-def]
     """Lowest support over 192 fixed directions, never below epsilon; 0.0 proves that there is no force closure.
 
     Costs 0.015 ms. Use it to reject, never to accept: about half of the grasps without force closure pass it, and its
@@ -366,7 +366,7 @@ def epsilon_upper_bound(wrenches):
 
 
 @njit(cache=True, error_model="numpy")
-def epsilon_batch(wrenches, counts, starts=STARTS):
+def epsilon_batch(wrenches, counts, starts=STARTS):  # type: ignore[no-untyped-def]
     """`epsilon` of each of (N, W, 6) wrench sets of which the first counts[n] rows are used -> (N,) float64."""
     out = np.empty(len(wrenches))
     for n in range(len(wrenches)):

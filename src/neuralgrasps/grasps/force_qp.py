@@ -40,7 +40,7 @@ class ContactForces(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _dual(wrenches, y, weight, f):
+def _dual(wrenches, y, weight, f):  # type: ignore[no-untyped-def]
     """Dual objective at y = (r, v); fills f (W,)."""
     total = 0.0
     for i in range(len(wrenches)):
@@ -56,7 +56,7 @@ def _dual(wrenches, y, weight, f):
 
 
 @njit(cache=True, error_model="numpy")
-def _newton_system(wrenches, y, weight, f, gradient, hessian):
+def _newton_system(wrenches, y, weight, f, gradient, hessian):  # type: ignore[no-untyped-def]
     for a in range(7):
         gradient[a] = y[a] if a < 6 else -1.0
         for b in range(7):
@@ -78,7 +78,7 @@ def _newton_system(wrenches, y, weight, f, gradient, hessian):
 
 
 @njit(cache=True, error_model="numpy")
-def _solve_in_place(matrix, vector):
+def _solve_in_place(matrix, vector):  # type: ignore[no-untyped-def]
     """vector <- matrix^-1 vector for a symmetric positive definite (7, 7), by Cholesky."""
     size = len(vector)
     for j in range(size):
@@ -100,7 +100,7 @@ def _solve_in_place(matrix, vector):
 
 
 @njit(cache=True, error_model="numpy")
-def edge_forces(wrenches, weight=WEIGHT):
+def edge_forces(wrenches, weight=WEIGHT):  # type: ignore[no-untyped-def]
     """The minimiser f of |G f|^2 + weight |f|^2 on the simplex.
 
     Args:
@@ -157,7 +157,7 @@ def edge_forces(wrenches, weight=WEIGHT):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_forces(points, normals, com, friction, edges=8, torsion=0.0, length=1.0, weight=WEIGHT):
+def contact_forces(points, normals, com, friction, edges=8, torsion=0.0, length=1.0, weight=WEIGHT):  # type: ignore[no-untyped-def]
     """Squeezing forces of a grasp; the arguments are those of `grasp_wrenches`. Callable from numba and from Python.
 
     The torsional moments of soft fingers take part in the balance but are not returned.

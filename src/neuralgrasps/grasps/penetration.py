@@ -36,7 +36,7 @@ class PenetrationDepths(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def depth_in_part(packed, part, x, y, z):
+def depth_in_part(packed, part, x, y, z):  # type: ignore[no-untyped-def]
     """Depth of a point (part frame) inside a convex part, metres; negative or 0 outside (not a distance there)."""
     kind = packed.part_kind[part]
     a, b, c = packed.part_size[part, 0], packed.part_size[part, 1], packed.part_size[part, 2]
@@ -59,7 +59,7 @@ def depth_in_part(packed, part, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH, X_HL):
+def hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH, X_HL):  # type: ignore[no-untyped-def]
     """Largest depth of the hand's surface points in the object's distance grid, metres, >= 0."""
     X = np.empty((3, 4))
     deepest = 0.0
@@ -85,7 +85,7 @@ def hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH, X_HL):
 
 
 @njit(cache=True, error_model="numpy")
-def _rigid_product(A, B, out):
+def _rigid_product(A, B, out):  # type: ignore[no-untyped-def]
     """out (3, 4) = A @ B, upper three rows of rigid transforms."""
     for r in range(3):
         for c in range(4):
@@ -94,7 +94,7 @@ def _rigid_product(A, B, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _rigid_inverse(A, out):
+def _rigid_inverse(A, out):  # type: ignore[no-untyped-def]
     """out (3, 4) = inverse of a rigid transform A, upper three rows."""
     for r in range(3):
         for c in range(3):
@@ -103,7 +103,7 @@ def _rigid_inverse(A, out):
 
 
 @njit(cache=True, error_model="numpy")
-def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_OH, X_HL):
+def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_OH, X_HL):  # type: ignore[no-untyped-def]
     """Largest depth of object surface points (P, 3) in the hand's convex parts, metres, >= 0.
 
     The grid only skips parts that cannot reach the object.
@@ -132,7 +132,7 @@ def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_O
 
 
 @njit(cache=True, error_model="numpy")
-def _link_points_in_part(packed, X_HL, link, part):
+def _link_points_in_part(packed, X_HL, link, part):  # type: ignore[no-untyped-def]
     """Largest depth of the surface points of `link` in a part of another link."""
     X_LH, X_PH, X_PA = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4))
     _rigid_inverse(X_HL[packed.part_link[part]], X_LH)
@@ -149,7 +149,7 @@ def _link_points_in_part(packed, X_HL, link, part):
 
 
 @njit(cache=True, error_model="numpy")
-def _sphere_gap(X_HL, link_a, centre_a, radius_a, link_b, centre_b, radius_b):
+def _sphere_gap(X_HL, link_a, centre_a, radius_a, link_b, centre_b, radius_b):  # type: ignore[no-untyped-def]
     """Distance between two bounding spheres given in their links' frames, metres."""
     squared = 0.0
     for r in range(3):
@@ -163,7 +163,7 @@ def _sphere_gap(X_HL, link_a, centre_a, radius_a, link_b, centre_b, radius_b):
 
 
 @njit(cache=True, error_model="numpy")
-def self_penetration(packed, X_HL):
+def self_penetration(packed, X_HL):  # type: ignore[no-untyped-def]
     """Largest depth of one link's surface points in the parts of another, over `packed.self_pairs`, metres, >= 0."""
     deepest = 0.0
     for s in range(len(packed.self_pairs)):
@@ -193,7 +193,7 @@ def self_penetration(packed, X_HL):
 
 
 @njit(cache=True, error_model="numpy")
-def _depths(points_O, sdf_values, origin, inv_spacing, packed, X_OH, q, out):
+def _depths(points_O, sdf_values, origin, inv_spacing, packed, X_OH, q, out):  # type: ignore[no-untyped-def]
     X_HL = np.empty((len(packed.parents), 4, 4))
     for n in range(len(X_OH)):
         link_poses(

@@ -82,7 +82,7 @@ class GraspQuality:
 
 
 @njit(cache=True, error_model="numpy")
-def link_distances(sdf_values, origin, inv_spacing, packed, X_OH, X_HL, out):
+def link_distances(sdf_values, origin, inv_spacing, packed, X_OH, X_HL, out):  # type: ignore[no-untyped-def]
     """Smallest signed distance (L,) of each link's surface points to the object, metres; inf without points."""
     X = np.empty((3, 4))
     for link in range(packed.link_radius.shape[0]):
@@ -97,7 +97,7 @@ def link_distances(sdf_values, origin, inv_spacing, packed, X_OH, X_HL, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _judge(
+def _judge(  # type: ignore[no-untyped-def]
     sdf_values,
     origin,
     inv_spacing,

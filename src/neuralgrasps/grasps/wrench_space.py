@@ -12,7 +12,7 @@ from numba import njit
 
 
 @njit(cache=True, error_model="numpy")
-def fill_grasp_wrenches(points, normals, count, com, friction, edges, torsion, length, out):
+def fill_grasp_wrenches(points, normals, count, com, friction, edges, torsion, length, out):  # type: ignore[no-untyped-def]
     """Write the wrenches of the first `count` contacts to `out`; returns how many rows were written.
 
     Allocation-free kernel behind `grasp_wrenches`; `out` needs count * (edges + 2) rows.
@@ -65,7 +65,7 @@ def fill_grasp_wrenches(points, normals, count, com, friction, edges, torsion, l
 
 
 @njit(cache=True, error_model="numpy")
-def grasp_wrenches(points, normals, com, friction, edges=8, torsion=0.0, length=1.0):
+def grasp_wrenches(points, normals, com, friction, edges=8, torsion=0.0, length=1.0):  # type: ignore[no-untyped-def]
     """Wrenches on the object of every friction-cone edge, callable from numba and from Python.
 
     Each edge is f = -n + friction (cos a u + sin a v), torque (p - com) x f / length. With `torsion` > 0 each contact

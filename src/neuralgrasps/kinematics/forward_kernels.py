@@ -63,7 +63,7 @@ def forward_numpy(tree: KinematicTree, q: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, fastmath=False, error_model="numpy")
-def link_poses(parents, joint_types, X_parent_joint, axes, coupling, offset, q, out):
+def link_poses(parents, joint_types, X_parent_joint, axes, coupling, offset, q, out):  # type: ignore[no-untyped-def]
     """Write X_HL of all links for one `q`; arrays as in `KinematicTree`.
 
     Args:
@@ -119,7 +119,7 @@ def link_poses(parents, joint_types, X_parent_joint, axes, coupling, offset, q, 
 
 
 @njit(cache=True, fastmath=False, error_model="numpy")
-def link_poses_batch(parents, joint_types, X_parent_joint, axes, coupling, offset, q, out):
+def link_poses_batch(parents, joint_types, X_parent_joint, axes, coupling, offset, q, out):  # type: ignore[no-untyped-def]
     """`link_poses` for every row of `q` (N, J) into `out` (N, L, 4, 4)."""
     for n in range(q.shape[0]):
         link_poses(parents, joint_types, X_parent_joint, axes, coupling, offset, q[n], out[n])

@@ -10,7 +10,7 @@ from neuralgrasps.kinematics.tree import FIXED, REVOLUTE, KinematicTree
 
 
 @njit(cache=True, fastmath=False, error_model="numpy")
-def frame_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, out):
+def frame_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, out):  # type: ignore[no-untyped-def]
     """Velocity of a point fixed to a link, and of that link's rotation, per unit joint speed.
 
     Args:
@@ -46,7 +46,7 @@ def frame_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, ou
 
 
 @njit(cache=True, fastmath=False, error_model="numpy")
-def point_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, out):
+def point_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, out):  # type: ignore[no-untyped-def]
     """Rows 0-2 of `frame_jacobian` into `out` (3, J): d point_H / d q, metres per rad or metre."""
     out[:] = 0.0
     i = link

@@ -197,7 +197,7 @@ def _start_poses(obj: ObjectModel, points_C: np.ndarray, count: int) -> np.ndarr
 
 
 @njit(cache=True, error_model="numpy")
-def _slide(values, origin, inv_spacing, points, X_OC):
+def _slide(values, origin, inv_spacing, points, X_OC):  # type: ignore[no-untyped-def]
     """One Gauss-Newton step on the translation of every pose, residuals beyond 5 cm ignored."""
     for n in range(X_OC.shape[0]):
         H = np.zeros((3, 3))
@@ -220,7 +220,7 @@ def _slide(values, origin, inv_spacing, points, X_OC):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _moved(X, p):
+def _moved(X, p):  # type: ignore[no-untyped-def]
     return (
         X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3],
         X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3],
@@ -229,7 +229,7 @@ def _moved(X, p):
 
 
 @njit(cache=True, error_model="numpy")
-def _scores(values, origin, inv_spacing, points, X_OC, clip):
+def _scores(values, origin, inv_spacing, points, X_OC, clip):  # type: ignore[no-untyped-def]
     """(N,) mean distance of the points to the surface, each clipped."""
     out = np.zeros(X_OC.shape[0])
     for n in range(X_OC.shape[0]):
@@ -241,7 +241,7 @@ def _scores(values, origin, inv_spacing, points, X_OC, clip):
 
 
 @njit(cache=True, error_model="numpy")
-def _normal_equations(values, origin, inv_spacing, points, X_OC, centre_O, kernel, H, b, cost):
+def _normal_equations(values, origin, inv_spacing, points, X_OC, centre_O, kernel, H, b, cost):  # type: ignore[no-untyped-def]
     """Weighted normal equations of every pose for a twist [v, w] about `centre_O` (N, 3); Geman-McClure loss."""
     J = np.empty(6)
     k2 = kernel * kernel
@@ -318,7 +318,7 @@ def _distinct(X_OC: np.ndarray, score: np.ndarray, centre_C: np.ndarray, count: 
 
 
 @njit(cache=True, error_model="numpy")
-def _suppress(R, centre, cos_angle, distance, kept):
+def _suppress(R, centre, cos_angle, distance, kept):  # type: ignore[no-untyped-def]
     found = 0
     for i in range(R.shape[0]):
         fresh = True
@@ -342,7 +342,7 @@ def _suppress(R, centre, cos_angle, distance, kept):
 
 
 @njit(cache=True, error_model="numpy")
-def _free_space(points, normals, X_CO, depth, fx, fy, cx, cy, margin, clip, out):
+def _free_space(points, normals, X_CO, depth, fx, fy, cx, cy, margin, clip, out):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     for n in range(X_CO.shape[0]):
         total = 0.0

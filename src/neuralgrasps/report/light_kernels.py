@@ -17,7 +17,7 @@ _DISC = _disc_points()
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _lit(x, y, z, axes, depth, inv_texel, bias, ramp, du, dv):
+def _lit(x, y, z, axes, depth, inv_texel, bias, ramp, du, dv):  # type: ignore[no-untyped-def]
     """1 when nothing stands between the point (relative to the maps' centre) and the light, 0 in its shadow."""
     size = depth.shape[0]
     half = 0.5 * size
@@ -31,7 +31,7 @@ def _lit(x, y, z, axes, depth, inv_texel, bias, ramp, du, dv):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _sky_light(x, y, z, n, sample, pattern, sky):
+def _sky_light(x, y, z, n, sample, pattern, sky):  # type: ignore[no-untyped-def]
     """Light from this sample's share of the dome, scaled so that a free horizontal surface gets 1."""
     directions, axes, depth, texel = sky
     count = directions.shape[0]
@@ -53,7 +53,7 @@ def _sky_light(x, y, z, n, sample, pattern, sky):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _key_light(x, y, z, sample, pattern, key):
+def _key_light(x, y, z, sample, pattern, key):  # type: ignore[no-untyped-def]
     """Visibility of the lamp, 0..1, over a disc of about 7 mm: a soft shadow."""
     _, axes, depth, texel = key
     inv_texel = np.float32(1.0) / texel
@@ -66,7 +66,7 @@ def _key_light(x, y, z, sample, pattern, key):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _blend(rows, b0, b1, b2):
+def _blend(rows, b0, b1, b2):  # type: ignore[no-untyped-def]
     """Barycentric mean of the rows of a (3, 3) array, as a tuple."""
     return (
         b0 * rows[0, 0] + b1 * rows[1, 0] + b2 * rows[2, 0],
@@ -76,25 +76,25 @@ def _blend(rows, b0, b1, b2):
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _dot(a, b):
+def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _unit(a, sign):
+def _unit(a, sign):  # type: ignore[no-untyped-def]
     scale = sign / (np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) + np.float32(1e-20))
     return (a[0] * scale, a[1] * scale, a[2] * scale)
 
 
 @numba.njit(cache=True, error_model="numpy", inline="always")
-def _face_normal(corners):
+def _face_normal(corners):  # type: ignore[no-untyped-def]
     ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
     bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
     return _unit((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), np.float32(1.0))
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _light(p, n, g, view, gloss, sample, pattern, sky, key, lights):
+def _light(p, n, g, view, gloss, sample, pattern, sky, key, lights):  # type: ignore[no-untyped-def]
     """Diffuse light on a surface, and the highlight and rim light added to it, at p (relative to the maps' centre).
 
     n is the shading normal, g the face's, both towards the camera; view the unit vector to the camera.
@@ -117,7 +117,7 @@ def _light(p, n, g, view, gloss, sample, pattern, sky, key, lights):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def shade_surfaces(image, scene, view, sky, key, lights, out):
+def shade_surfaces(image, scene, view, sky, key, lights, out):  # type: ignore[no-untyped-def]
     """Add the light of every sample to out = (colour (h, w, 3), coverage (h, w)).
 
     Args:
@@ -157,7 +157,7 @@ def shade_surfaces(image, scene, view, sky, key, lights, out):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def fill_ground(height, reach, sky, key, dark_sky, dark_key):
+def fill_ground(height, reach, sky, key, dark_sky, dark_key):  # type: ignore[no-untyped-def]
     """Share of the sky and of the lamp hidden from each ground cell (G, G) of a square of side 2 reach."""
     size = dark_sky.shape[0]
     up = (np.float32(0.0), np.float32(0.0), np.float32(1.0))

@@ -65,7 +65,7 @@ def _coprime_step(count: int) -> int:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fill_maps(points, faces, axes, inv_texel, depth):
+def _fill_maps(points, faces, axes, inv_texel, depth):  # type: ignore[no-untyped-def]
     size = depth.shape[1]
     half = np.float32(0.5 * size - 0.5)
     uvd = np.empty((len(points), 3), np.float32)
@@ -80,7 +80,7 @@ def _fill_maps(points, faces, axes, inv_texel, depth):
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _fill_map(uvd, faces, depth):
+def _fill_map(uvd, faces, depth):  # type: ignore[no-untyped-def]
     size = depth.shape[0]
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]

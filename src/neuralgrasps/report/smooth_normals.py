@@ -38,7 +38,7 @@ def _merge_vertices(vertices: np.ndarray) -> np.ndarray:
 
 
 @numba.njit(cache=True, error_model="numpy")
-def _blend(merged, scaled, around, start, cos_crease):
+def _blend(merged, scaled, around, start, cos_crease):  # type: ignore[no-untyped-def]
     count = len(merged)
     length = np.sqrt((scaled**2).sum(axis=1))
     out = np.zeros((count, 3, 3), np.float32)

@@ -31,7 +31,7 @@ def pregrasp_joints(hand: Hand, q: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, error_model="numpy")
-def _contact_torques(parents, joint_types, axes, coupling, X_HL, R_HO, X_HO_p, points_O, forces_O, links, out):
+def _contact_torques(parents, joint_types, axes, coupling, X_HL, R_HO, X_HO_p, points_O, forces_O, links, out):  # type: ignore[no-untyped-def]
     """out (J,) = sum of J_c' f_c: joint torques that exert `forces_O` on the object."""
     jacobian = np.empty((3, out.shape[0]))
     point, force = np.empty(3), np.empty(3)
