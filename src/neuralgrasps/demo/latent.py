@@ -193,7 +193,9 @@ def _measure_object(
     hands = [hand for hand, obj in dataset.pairs if obj == name and (hand, obj) in inferred]
     # the book lists each hand's grasps together, in the order of its hands
     observed = join_codes([inferred[hand, name].codes for hand in hands])
-    encoded_error, observed_error, chamfers = [], [], []
+    encoded_error: list[np.ndarray] = []
+    observed_error: list[np.ndarray] = []
+    chamfers = []
     for hand in hands:
         grasps = dataset.grasps(hand, name)[dataset.split(hand, name).test]
         rows = asked[asked.where(hand=hand)]

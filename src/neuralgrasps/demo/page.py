@@ -35,6 +35,7 @@ from neuralgrasps.report.figures import render_depth, render_pose_overlay
 from neuralgrasps.report.page import write_report
 
 if TYPE_CHECKING:
+    from neuralgrasps.demo.latent import RetrievalExample
     from neuralgrasps.demo.measure import Progress
     from neuralgrasps.demo.run import DemoData
 
@@ -137,7 +138,7 @@ def _grasp_figure(data: DemoData, hand: str, obj: str, index: int, image: np.nda
     )  # fmt: skip
 
 
-def _retrieval_row(row, images: Sequence[np.ndarray]) -> RetrievalRow:  # type: ignore[no-untyped-def]
+def _retrieval_row(row: RetrievalExample, images: Sequence[np.ndarray]) -> RetrievalRow:
     figures = [Neighbour(hand=n.hand, image=i, similarity=n.similarity) for n, i in zip(row.all, images, strict=True)]
     return RetrievalRow(object=row.object, query=figures[0], nearest=tuple(figures[1:-1]), farthest=figures[-1])
 
@@ -250,8 +251,9 @@ def _pose_table(data: DemoData) -> Table:
         shift = np.array([t.errors.translation_m for t in trials]) * 1e3
         wall = np.array([t.wall_s for t in trials])
         good = np.mean([t.errors.mssd_m < 0.1 * t.diameter_m for t in trials])
-        row = (float(np.median(a)) for a in (add_s, turn, shift, wall))
-        rows.append((_plain(name), len(trials), *row, float(good)))
+        medians = (float(np.median(a)) for a in (add_s, turn, shift, wall))
+        row: tuple[str | float | int | None, ...] = (_plain(name), len(trials), *medians, float(good))
+        rows.append(row)
     return Table(
         title="Object pose from one depth view",
         columns=("object", "views", "ADD-S mm", "rotation deg", "translation mm", "seconds", "MSSD < 0.1 d"),

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from neuralgrasps.demo.run import DemoData
 
 Request = tuple[str, str, str, int]  # kind, hand, object, grasp
+Job = tuple[str, np.ndarray, np.ndarray, np.ndarray]  # kind, X_OH, q, contact map; what a kind does not use is empty
+_EMPTY = np.zeros(0)
 
 
 class PicturePlan:
@@ -54,10 +56,10 @@ def draw(plan: PicturePlan, data: DemoData, *, workers: int, progress: Progress)
         for slot in slots:
             kind, _, _, index = plan.requests[slot]
             if kind == "hand":
-                jobs.append((kind, None, None, None))
+                jobs.append((kind, _EMPTY, _EMPTY, _EMPTY))
                 continue
             grasps = data.set_of(hand, obj)
-            values = data.latent.maps[hand, obj][index] if kind == "contact" else None
+            values = data.latent.maps[hand, obj][index] if kind == "contact" else _EMPTY
             jobs.append((kind, grasps.X_OH[index], grasps.q[index], values))
         tasks.append((data.hands[hand], data.objects.get(obj), jobs))
     pictures: list[np.ndarray] = [np.zeros((1, 1, 4), np.uint8)] * len(plan.requests)
@@ -71,7 +73,7 @@ def draw(plan: PicturePlan, data: DemoData, *, workers: int, progress: Progress)
     return pictures
 
 
-def _draw_group(hand: Hand, obj: ObjectModel | None, jobs: Sequence[tuple]) -> list[np.ndarray]:
+def _draw_group(hand: Hand, obj: ObjectModel | None, jobs: Sequence[Job]) -> list[np.ndarray]:
     images = []
     for kind, X_OH, q, values in jobs:
         if kind == "hand" or obj is None:

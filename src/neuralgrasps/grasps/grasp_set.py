@@ -303,7 +303,7 @@ def concatenate(sets: Sequence[GraspSet]) -> GraspSet:
     full = [s for s in sets if len(s)] or [first]
     width = max(s.contact_links.shape[1] for s in full)
     padded = [pad_contacts(s, width) for s in full]
-    arrays = {name: np.concatenate([getattr(s, name) for s in padded]) for name in _ARRAYS}
+    arrays: dict[str, Any] = {name: np.concatenate([getattr(s, name) for s in padded]) for name in _ARRAYS}
     config = {
         key: " | ".join(dict.fromkeys(s.config[key] for s in full if key in s.config))
         for key in dict.fromkeys(k for s in full for k in s.config)

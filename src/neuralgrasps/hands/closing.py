@@ -18,6 +18,7 @@ from neuralgrasps.kinematics.tree import PRISMATIC, KinematicTree
 PARALLEL = 0.7  # |cos| between flexion axes of one finger
 _DENSITY = 1.0 / 0.004**2
 _TIP_SHARE = 0.1  # of a finger's outermost body: its end
+Clouds = dict[int, tuple[np.ndarray, np.ndarray]]  # link -> points, normals in its frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,7 +31,7 @@ class MovableHand:
     fingers: tuple[tuple[int, ...], ...]
     tip_link: tuple[int, ...]
     tip_L: tuple[np.ndarray, ...]
-    clouds: dict[int, tuple[np.ndarray, np.ndarray]]  # link -> points, normals in its frame
+    clouds: Clouds
     moved: np.ndarray  # (L, J)
     palm_links: tuple[int, ...]
 
@@ -68,7 +69,7 @@ def movable_hand(name: str, tree: KinematicTree, parts: Sequence[ConvexPart], gi
     palm, fingers = find_fingers(tree, parts)
     if given.fingers is not None:
         fingers = tuple(tuple(tree.link_names.index(n) for n in f.links) for f in given.fingers)
-    clouds: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    clouds: Clouds = {}
     for link in {p.link for p in parts}:
         samples = [sample_part(p, _DENSITY) for p in parts if p.link == link]
         clouds[link] = np.concatenate([s[0] for s in samples]), np.concatenate([s[1] for s in samples])
@@ -97,7 +98,7 @@ def movable_hand(name: str, tree: KinematicTree, parts: Sequence[ConvexPart], gi
     )
 
 
-def _tip(tree: KinematicTree, clouds: dict, finger: tuple[int, ...], X: np.ndarray) -> tuple[int, np.ndarray]:
+def _tip(tree: KinematicTree, clouds: Clouds, finger: tuple[int, ...], X: np.ndarray) -> tuple[int, np.ndarray]:
     """Outermost link with geometry and the middle of its far end, link frame."""
     link = ([i for i in finger if i in clouds] or [finger[-1]])[-1]
     if link not in clouds:

@@ -182,7 +182,8 @@ def _new_decoder(hands: tuple[str, ...], config: DecoderConfig, generator: torch
                 module.weight.uniform_(-bound, bound, generator=generator)
                 module.bias.zero_()
         for head in decoder.heads:
-            head[-1].weight.mul_(0.05)  # start close to decoding what the code says
+            *_, last = head.children()
+            last.get_parameter("weight").mul_(0.05)  # start close to decoding what the code says
     return decoder
 
 
@@ -205,12 +206,14 @@ def _hand_data(field: KinematicField, dataset: GraspDataset, name: str, config: 
         X_all.append(X)
         q_all.append(q)
     material = HandPoints(field.hands[name], field.packed[name])
-    X_OH = torch.as_tensor(np.concatenate(X_all), dtype=torch.float32)
-    q = torch.as_tensor(np.concatenate(q_all), dtype=torch.float32)
+    points_O = material.posed(
+        torch.as_tensor(np.concatenate(X_all), dtype=torch.float32),
+        torch.as_tensor(np.concatenate(q_all), dtype=torch.float32),
+    )
     return _HandData(
         codes=torch.as_tensor(np.concatenate(codes)),
         object_of=torch.as_tensor(np.concatenate(object_of)),
-        points_O=material.posed(X_OH, q),
+        points_O=points_O,
         material=material,
     )
 

@@ -17,13 +17,14 @@ from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.report.light_kernels import fill_ground, shade_surfaces
 from neuralgrasps.report.palette import linear_to_srgb
-from neuralgrasps.report.shadow_maps import dome_directions, shadow_maps
+from neuralgrasps.report.shadow_maps import ShadowMaps, dome_directions, shadow_maps
 from neuralgrasps.report.smooth_normals import corner_normals
 
 SUPERSAMPLING = 3
 _DOME_LIGHTS = 45  # a multiple of the nine samples of a pixel
 _DOME_MAP, _KEY_MAP = 128, 512  # cells per side of a shadow map
 _GROUND_CELLS, _GROUND_REACH = 128, 2.1  # the shadow on the ground: cells per side, half side in scene radii
+Lights = tuple[np.ndarray, np.ndarray, np.ndarray, np.float32]  # directions, then axes, depths and cell of their maps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,12 +81,12 @@ def shade(
     image = rasterise([Mesh(vertices, faces)], np.linalg.inv(X_WC)[None], fine)
     centre = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     radius = float(np.sqrt(((vertices - centre) ** 2).sum(axis=1).max())) * 1.02
-    sphere = {"centre": centre, "radius": radius}
-    sky_directions, key_direction = dome_directions(_DOME_LIGHTS), _key_direction(X_WC, style)
+    dome, key_light = dome_directions(_DOME_LIGHTS), _key_direction(X_WC, style)
     coarse = merge_meshes([s.caster or s.mesh for s in surfaces])
-    sky_maps = _maps(coarse.vertices, coarse.faces, sky_directions, **sphere, size=_DOME_MAP)
-    sky = (sky_directions.astype(np.float32), *sky_maps)
-    key = (key_direction.astype(np.float32), *_maps(vertices, faces, key_direction[None], **sphere, size=_KEY_MAP))
+    dome_maps = shadow_maps(coarse.vertices, coarse.faces, dome, centre=centre, radius=radius, size=_DOME_MAP)
+    sky = _lights(dome, dome_maps)
+    key_maps = shadow_maps(vertices, faces, key_light[None], centre=centre, radius=radius, size=_KEY_MAP)
+    key = _lights(key_light, key_maps)
     colour = np.zeros((intrinsics.height, intrinsics.width, 3), np.float32)
     coverage = np.zeros((intrinsics.height, intrinsics.width), np.float32)
     shade_surfaces(
@@ -99,16 +100,15 @@ def shade(
     )
     ground = np.float32(vertices[:, 2].min() - 1e-4)
     shadow = _ground_shadow(ground - centre[2], radius, sky, key) if style.ground else np.zeros((2, 2))
-    darkness = _look_up_ground(shadow, X_WC, intrinsics, ground=ground, centre=centre, radius=radius)
+    darkness = _look_up_ground(shadow, X_WC, intrinsics, ground=float(ground), centre=centre, radius=radius)
     return _encode(colour, coverage, darkness)
 
 
-def _maps(vertices, faces, directions, *, centre, radius, size) -> tuple[np.ndarray, np.ndarray, np.float32]:
-    maps = shadow_maps(vertices, faces, directions, centre=centre, radius=radius, size=size)
-    return maps.axes, maps.depth, np.float32(maps.texel_m)
+def _lights(directions: np.ndarray, maps: ShadowMaps) -> Lights:
+    return directions.astype(np.float32), maps.axes, maps.depth, np.float32(maps.texel_m)
 
 
-def _ground_shadow(height: float, radius: float, sky, key) -> np.ndarray:
+def _ground_shadow(height: float, radius: float, sky: Lights, key: Lights) -> np.ndarray:
     """(G, G) darkness of the ground over a square of half side `_GROUND_REACH * radius` around the scene."""
     dark_sky = np.zeros((_GROUND_CELLS, _GROUND_CELLS), np.float32)
     dark_key = np.zeros_like(dark_sky)
@@ -124,7 +124,9 @@ def _ground_shadow(height: float, radius: float, sky, key) -> np.ndarray:
     return dark * np.clip((1 - away) / 0.45, 0, 1)
 
 
-def _look_up_ground(shadow, X_WC, intrinsics, *, ground, centre, radius) -> np.ndarray:
+def _look_up_ground(
+    shadow: np.ndarray, X_WC: np.ndarray, intrinsics: Intrinsics, *, ground: float, centre: np.ndarray, radius: float
+) -> np.ndarray:
     """(h, w) darkness of the ground at every pixel."""
     rays = pixel_rays(intrinsics) @ X_WC[:3, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):

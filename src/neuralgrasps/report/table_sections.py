@@ -69,8 +69,8 @@ def _tried(row: SynthesisRow) -> int | None:
 
 def retrieval_table(rows: Sequence[ModelRow]) -> Table:
     """Nearest and farthest grasps found by code, the published figures beside ours."""
-    columns = ("object", "grasps", "near, by code", "best possible", "gap", "paper near / best")
-    columns += ("far, by code", "lowest possible", "paper far / lowest")
+    near_columns = ("near, by code", "best possible", "gap", "paper near / best")
+    far_columns = ("far, by code", "lowest possible", "paper far / lowest")
     body = []
     for r in rows:
         paper = PAPER_RETRIEVAL.get(_plain(r.object))
@@ -81,7 +81,7 @@ def retrieval_table(rows: Sequence[ModelRow]) -> Table:
         body.append((pretty_name(r.object), r.grasps, *near, _fixed(r.far_code), _fixed(r.far_contact), far_paper))
     return Table(
         title="Retrieval through the latent space",
-        columns=columns,
+        columns=("object", "grasps", *near_columns, *far_columns),
         rows=tuple(body),
         meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best "
         "that any grasp in the set offers; the gap is what the code loses. Far is the same for the "
