@@ -42,6 +42,7 @@ def bench(
         quick: one object, two hands and 8 grasps a pair.
     """
     from neuralgrasps.demo.run import DemoConfig, run_demo
+    from neuralgrasps.parallel import available_cpus
 
     options: dict[str, Any] = {"objects_dir": objects, "count": count, "seed": seed, "workers": workers}
     if quick:
@@ -59,7 +60,7 @@ def bench(
         "hands": list(config.hands),
         "count": config.count,
         "seed": seed,
-        "workers": workers,
+        "workers": workers or available_cpus(),
         "quick": quick,
     }
     terminal.table(("figure", "value"), [(key, float(value)) for key, value in figures.items()])

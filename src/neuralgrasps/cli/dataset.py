@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,8 +12,8 @@ import tyro
 from neuralgrasps.cli.models import SOURCES_FILE, open_hands, open_objects, read_sources, source_text, write_sources
 from neuralgrasps.cli.options import Folder, Names, PositionalFolder, Unit, Workers
 from neuralgrasps.cli.outputs import check_writable
-from neuralgrasps.cli.terminal import Outcome, Terminal
-from neuralgrasps.errors import InputError
+from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
+from neuralgrasps.errors import DataFormatError, InputError
 
 if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
@@ -71,7 +71,9 @@ def build(
         )  # fmt: skip
     write_sources(out, hands=hand_specs, objects=object_specs)
     scenes = sum(len(g) for g in sets)
-    terminal.say(f"{scenes} grasps of {len(sets)} pairs in {time.perf_counter() - start:.1f} s: {out}")
+    terminal.say(
+        f"{counted(scenes, 'grasp')} of {counted(len(sets), 'pair')} in {time.perf_counter() - start:.1f} s: {out}"
+    )
     terminal.facts([("built now", result.built), ("kept from before", result.kept)])
     terminal.notes(empty, title="Left out, for lack of grasps:")
     figures = {"folder": str(out), "pairs": len(sets), "grasps": scenes, "built": result.built, "kept": result.kept}
@@ -112,7 +114,7 @@ def _specs(
     kind: str,
     names: Sequence[str],
     recorded: dict[str, dict[str, str]],
-    given: dict,  # type: ignore[type-arg]
+    given: Mapping[str, object],
     given_specs: Sequence[str],
 ) -> dict[str, str]:
     """Where each named hand or object is to be read from."""
@@ -134,7 +136,7 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
     size = sum(f.stat().st_size for f in dataset.rglob("*") if f.is_file())
     shards = data.manifest.shards
     samples = f"{config.queries_per_scene} per grasp, " + ("stored" if config.store_samples else "computed when read")
-    facts = [
+    facts: list[tuple[str, Cell]] = [
         ("folder", str(dataset)),
         ("made with", f"neuralgrasps {data.manifest.library_version}, seed {config.seed}"),
         ("grasps", sum(s.scenes for s in shards)),
@@ -181,11 +183,16 @@ def verify(terminal: Terminal, dataset: PositionalFolder, /, *, spot_checks: int
         spot_checks: sample points per pair whose distance is computed again.
     """
     from neuralgrasps.dataset.read import read_dataset
-    from neuralgrasps.dataset.verify import verify_dataset
+    from neuralgrasps.dataset.verify import VerifyResult, verify_dataset
 
-    with terminal.progress("verifying"):
-        found = verify_dataset(read_dataset(dataset), spot_checks=spot_checks)
-    terminal.say(f"{found.files} files, {found.scenes} grasps: {'sound' if found.ok else 'DAMAGED'}")
+    data = read_dataset(dataset)
+    try:
+        with terminal.progress("verifying"):
+            found = verify_dataset(data, spot_checks=spot_checks)
+    except DataFormatError as error:  # so damaged that the check could not go on
+        found = VerifyResult(problems=(str(error),), files=0, scenes=0, max_error_m=float("nan"))
+    terminal.say(f"{dataset}: {'sound' if found.ok else 'DAMAGED'}")
+    terminal.facts([("files", found.files or None), ("grasps", found.scenes or None)])
     terminal.notes(found.problems)
     if not found.ok:
         terminal.say("Build it again: only what is damaged is made anew.")

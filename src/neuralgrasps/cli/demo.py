@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
-from neuralgrasps.cli.options import AllNames, Folder, Names, OptionalFolder, Workers
+import tyro
+
+from neuralgrasps.cli.options import AllNames, Folder, OptionalFolder, Workers
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal
+
+DemoObjects = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE ...", help_behavior_hint="(default: three built-in ones)")
+]
 
 
 def demo(
     terminal: Terminal,
     /,
     *,
-    objects: Names = ("cracker_box", "tomato_soup_can", "mustard_bottle"),
+    objects: DemoObjects = ("cracker_box", "tomato_soup_can", "mustard_bottle"),
     objects_dir: OptionalFolder = None,
     hands: AllNames = (),
     count: int = 24,
@@ -33,11 +40,17 @@ def demo(
         out: folder for report.html and everything that was made.
     """
     from neuralgrasps.demo.run import DemoConfig, run_demo
+    from neuralgrasps.hands.zoo import hand_names
 
     check_writable(out, folder=True)
-    chosen = {"hands": tuple(hands)} if hands else {}
     config = DemoConfig(
-        objects=tuple(objects), objects_dir=objects_dir, count=count, seed=seed, workers=workers, out=out, **chosen
+        objects=objects,
+        objects_dir=objects_dir,
+        hands=hands or hand_names(),
+        count=count,
+        seed=seed,
+        workers=workers,
+        out=out,
     )
     terminal.kept = f"Finished grasps are kept in '{out}'; the same command goes on from there."
     with terminal.progress("demo") as bar:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from neuralgrasps.cli.dataset import read_grasp_files
 from neuralgrasps.cli.models import dataset_hands, dataset_objects, open_hands, open_objects, run_objects
 from neuralgrasps.cli.options import Names, PositionalFolder
-from neuralgrasps.cli.terminal import Outcome, Terminal
+from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _quality(
         ],
     )  # fmt: skip
     count = sum(r["grasps"] for r in rows)
-    terminal.say(f"{count} grasps. Overlap: 95th percentile, against the true mesh. Others: medians.")
+    terminal.say(f"{counted(count, 'grasp')}. Overlap: 95th percentile, against the true mesh. Others: medians.")
     worst = float(np.max([r["penetration_p95_mm"] for r in rows]))
     return Outcome(result={"path": str(path), "grasps": count, "pairs": rows, "worst_penetration_p95_mm": worst})
 

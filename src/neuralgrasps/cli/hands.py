@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from neuralgrasps.cli.options import File, NamePath, OptionalFile
 from neuralgrasps.cli.outputs import check_writable
-from neuralgrasps.cli.terminal import Outcome, Terminal
+from neuralgrasps.cli.terminal import Cell, Outcome, Terminal
 
 if TYPE_CHECKING:
     import numpy as np
@@ -67,7 +67,12 @@ def check_hand(terminal: Terminal, path: NamePath, /, *, picture: File = Path("h
 
 def _described(terminal: Terminal, hand: Hand, picture: Path | None) -> Outcome:
     kind = "parallel jaw" if hand.is_jaw else f"{len(hand.fingers)} fingers"
-    facts = [("joints", hand.num_dofs), ("kind", kind), ("convex parts", len(hand.parts)), ("licence", hand.licence)]
+    facts: list[tuple[str, Cell]] = [
+        ("joints", hand.num_dofs),
+        ("kind", kind),
+        ("convex parts", len(hand.parts)),
+        ("licence", hand.licence),
+    ]
     terminal.say(hand.name)
     terminal.facts([*facts, ("source", " ".join(hand.provenance.split()))])
     terminal.table(("joint", "unit", "lower", "upper", "open", "closes", "finger"), _joint_rows(hand))

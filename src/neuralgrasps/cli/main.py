@@ -173,7 +173,7 @@ def _deferred(function: Callable[..., Any], terminal: Terminal) -> Callable[...,
     hints: Mapping[str, Any] = {p.name: p.annotation for p in parameters}
     collect.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     collect.__annotations__ = {**hints, "return": Callable[[], Any]}
-    del collect.__wrapped__  # type: ignore[attr-defined]
+    del collect.__wrapped__
     return collect
 
 
@@ -190,6 +190,6 @@ def _catch_sigterm() -> dict[int, Any]:
 
     if threading.current_thread() is not threading.main_thread():
         return {}
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     signal.signal(signal.SIGTERM, stop)
     return before

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.object_model import ObjectModel
     from neuralgrasps.perception.pose import PoseResult
 
+# Spread of the points over the object's diagonal: less is a speck that fits anywhere, more cannot lie on it.
+_LEAST_SPREAD, _LARGEST_SPREAD = 0.08, 1.6
+
 
 def pose(
     terminal: Terminal,
@@ -140,7 +143,7 @@ def _check_extent(obj: ObjectModel, points: np.ndarray) -> None:
 
     spread = float(np.linalg.norm(np.percentile(points, 95, axis=0) - np.percentile(points, 5, axis=0)))
     size = float(np.linalg.norm(obj.mesh.extents))
-    if spread > 1.6 * size:
+    if not _LEAST_SPREAD < spread / size < _LARGEST_SPREAD:
         raise InputError(
             f"the points span {spread:.3g} m but '{obj.name}' measures {size:.3g} m across; give only the object's "
             "points (--mask), or the right unit (--depth-scale, --cloud-scale)."

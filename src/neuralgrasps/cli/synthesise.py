@@ -12,7 +12,7 @@ import tyro
 from neuralgrasps.cli.models import open_hands, open_objects, source_text, write_sources
 from neuralgrasps.cli.options import AllNames, File, Folder, OptionalFile, OptionalFloat, OptionalText, Unit, Workers
 from neuralgrasps.cli.outputs import check_writable, make_parent
-from neuralgrasps.cli.terminal import Outcome, Terminal
+from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def _many(
     )
     terminal.kept = f"Finished pairs are kept in '{folder}'; the same command goes on from there."
     wall = time.perf_counter()
-    with terminal.progress(f"{len(loaded)} hands on {len(models)} objects", "pairs") as bar:
+    with terminal.progress(f"{counted(len(loaded), 'hand')} on {counted(len(models), 'object')}", "pairs") as bar:
         sets, records = collect_grasps(
             folder, list(loaded.values()), list(models.values()), config=config, seed=seed, workers=workers,
             progress=bar,
@@ -218,7 +218,7 @@ def _many(
     _show_many(terminal, rows)
     total = sum(r["validated"] for r in rows)
     wall_s = time.perf_counter() - wall
-    terminal.say(f"{total} grasps of {len(rows)} pairs in {wall_s:.1f} s: {folder}")
+    terminal.say(f"{counted(total, 'grasp')} of {counted(len(rows), 'pair')} in {wall_s:.1f} s: {folder}")
     result = {"folder": str(folder), "seed": seed, "protocol": config.protocol, "pairs": rows, "grasps": total}
     result |= {"wall_s": wall_s, "cpu_s": sum(r["cpu_s"] for r in rows)}
     return Outcome(result=result, exit_code=0 if total else 1)

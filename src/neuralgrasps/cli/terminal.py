@@ -58,7 +58,7 @@ class Terminal:
         for line in lines:
             grid = Table.grid(padding=(0, 1))
             grid.add_row("  -", line)
-            self._show(grid)
+            self.out.print(grid)
 
     def facts(self, facts: Sequence[tuple[str, Cell]]) -> None:
         """Names and values in two columns."""
@@ -67,7 +67,7 @@ class Terminal:
         grid.add_column(overflow="fold")
         for name, value in facts:
             grid.add_row(f"  {name}", cell_text(value))
-        self._show(grid)
+        self.out.print(grid)
 
     def table(self, columns: Sequence[str], rows: Sequence[Sequence[Cell]]) -> None:
         """A table; columns of numbers are aligned right."""
@@ -83,27 +83,27 @@ class Terminal:
             )
         for row in rows:
             table.add_row(*map(cell_text, row))
-        self._show(table)
-
-    def _show(self, table: Table) -> None:
-        """Fit to a terminal; elsewhere as wide as it needs, so that programs find every row on one line."""
-        wide = (
-            None
-            if self.out.is_terminal
-            else max(80, self.out.measure(table, options=self.out.options.update(width=_WIDEST)).maximum)
-        )
-        self.out.print(table, width=wide, crop=wide is None)
+        self.out.print(table)
 
     def progress(self, title: str, unit: str = "") -> ProgressBar:
         """A progress bar for a `with` block; hidden until the work takes over a second."""
         return ProgressBar(self.err, title, unit)
 
 
+class _PipedConsole(Console):
+    """Reports a closed pipe instead of ending the process with rich's own exit code."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def open_terminal(command: str, *, json_to_stdout: bool, stdout: IO[str], stderr: IO[str]) -> Terminal:
     """Consoles for a command; people's text gives way to stderr when stdout carries the JSON object."""
 
     def console(stream: IO[str]) -> Console:
-        return Console(file=stream, markup=False, highlight=False, emoji=False)
+        # outside a terminal every row stays on one line, as wide as it needs
+        width = None if stream.isatty() else _WIDEST
+        return _PipedConsole(file=stream, markup=False, highlight=False, emoji=False, width=width)
 
     return Terminal(out=console(stderr if json_to_stdout else stdout), err=console(stderr), command=command)
 
@@ -148,3 +148,8 @@ def _plain(value: Any) -> Any:
     if value is None or isinstance(value, str | int | bool):
         return value
     return str(value)
+
+
+def counted(count: int, noun: str) -> str:
+    """ "1 hand", "3 hands"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

@@ -8,7 +8,7 @@ from pathlib import Path
 from neuralgrasps.cli.models import dataset_hands, dataset_objects, source_text, write_sources
 from neuralgrasps.cli.options import Folder, Names, PositionalFolder
 from neuralgrasps.cli.outputs import check_writable
-from neuralgrasps.cli.terminal import Outcome, Terminal
+from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 
 
 def train(
@@ -52,10 +52,11 @@ def train(
         )  # fmt: skip
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
     save_run(out, result)
-    sources = {name: source_text(spec) for name, spec in _hand_sources(dataset, hands, models).items()}
+    sources = {name: source_text(spec) for name, spec in _hand_sources(dataset, hands, list(models)).items()}
     write_sources(out, hands=sources, objects={}, dataset=str(dataset.resolve()))
     last = float(result.losses[-50:].mean()) if len(result.losses) else float("nan")
-    terminal.say(f"{len(result.codebook)} grasps of {len(models)} hands on {len(objects)} objects: {out}")
+    whose = f"{counted(len(models), 'hand')} on {counted(len(objects), 'object')}"
+    terminal.say(f"{counted(len(result.codebook), 'grasp')} of {whose}: {out}")
     terminal.facts(
         [
             ("steps", f"{steps} in {wall_s:.1f} s, CPU {cpu_s:.1f} s"),
@@ -68,11 +69,10 @@ def train(
     return Outcome(result={**result_figures, "final_loss_m_per_code_unit": last})
 
 
-def _hand_sources(dataset: Path, given: tuple[str, ...], models: object) -> dict[str, str]:
+def _hand_sources(dataset: Path, given: tuple[str, ...], names: list[str]) -> dict[str, str]:
     from neuralgrasps.cli.models import open_hands, read_sources
 
     recorded = read_sources(dataset).get("hands", {})
     own = dict(zip(open_hands(given), given, strict=True))
-    known = {**(recorded if isinstance(recorded, dict) else {}), **own}
-    assert isinstance(models, dict)
-    return {name: known.get(name, name) for name in models}
+    known: dict[str, str] = {**(recorded if isinstance(recorded, dict) else {}), **own}
+    return {name: known.get(name, name) for name in names}

@@ -23,7 +23,7 @@ class Verb:
 
     def function(self) -> Callable[..., Any]:
         module, _, name = self.home.partition(":")
-        return getattr(importlib.import_module(f"neuralgrasps.cli.{module}"), name)  # type: ignore[no-any-return]
+        return getattr(importlib.import_module(f"neuralgrasps.cli.{module}"), name)
 
 
 VERBS: tuple[Verb, ...] = (

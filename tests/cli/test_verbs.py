@@ -1,0 +1,204 @@
+"""Every verb once, on small settings: what it prints, writes and returns."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import neuralgrasps
+from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
+from neuralgrasps.sim.camera import render_depth_view
+from tests.cli.conftest import Ended, Pipeline
+
+Call = Callable[..., Ended]
+
+
+def test_hands_show_and_check(ng: Call, tmp_path: Path) -> None:
+    shown = ng("hands", "show", "allegro")
+    assert shown.code == 0 and len(shown.result["joints"]) == 16
+    assert {"lower_rad", "upper_rad"} <= set(shown.result["joints"][0])
+    assert "lower_m" in ng("hands", "show", "panda").result["joints"][0]
+    picture = tmp_path / "new" / "hand.png"
+    hand = Path(neuralgrasps.__file__).parent / "assets" / "hands" / "barrett" / "hand.xml"
+    shutil.copy(hand, tmp_path / "mine.xml")  # without its notes: everything is derived
+    checked = ng("hands", "check", tmp_path / "mine.xml", "--picture", picture)
+    assert checked.code == 0 and checked.result["derived"]
+    assert "can be used" in checked.out
+    with Image.open(picture) as image:
+        assert image.width == 2 * image.height and np.ptp(np.asarray(image)) > 100
+
+
+def test_objects_show_import_list(ng: Call, tmp_path: Path) -> None:
+    shown = ng("objects", "show", "gelatin_box", "--picture", tmp_path / "box.png")
+    assert shown.code == 0 and (tmp_path / "box.png").stat().st_size > 1000
+    np.testing.assert_allclose(sorted(shown.result["size_mm"]), [28, 73, 85], atol=0.1)
+    mesh = tmp_path / "thing.obj"
+    box = neuralgrasps.load_object("gelatin_box").mesh
+    lines = [f"v {x * 1e3} {y * 1e3} {z * 1e3}" for x, y, z in box.vertices]
+    mesh.write_text("\n".join(lines + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in box.faces]))
+    imported = ng("objects", "import", mesh, "--unit", "mm")
+    assert imported.code == 0 and imported.result["name"] == "thing"
+    np.testing.assert_allclose(imported.result["size_mm"], shown.result["size_mm"], rtol=1e-6)
+    assert "thing" in [o["name"] for o in ng("objects", "list").result["objects"]]
+    again = ng("objects", "import", mesh)
+    assert again.code == 2 and "imported before" in again.err
+    assert ng("objects", "import", mesh, "--replace").code == 0
+
+
+def test_synthesise_pairs(pipeline: Pipeline) -> None:
+    record = pipeline.record
+    assert record["grasps"] == 12 and [p["hand"] for p in record["pairs"]] == ["panda", "fetch"]
+    assert all(p["penetration_p95_mm"] < 1.0 and 0 < p["physics_success_share"] <= 1 for p in record["pairs"])
+    assert len(neuralgrasps.load_grasps(pipeline.grasps / "gelatin_box" / "panda.safetensors")) == 6
+
+
+def test_synthesise_own_files_with_a_page(ng: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(Path(neuralgrasps.__file__).parent / "assets" / "hands" / "panda" / "hand.xml", "my.xml")
+    box = neuralgrasps.load_object("gelatin_box").mesh
+    Path("my.off").write_text(
+        f"OFF\n{len(box.vertices)} {len(box.faces)} 0\n"
+        + "\n".join(" ".join(map(str, v)) for v in box.vertices)
+        + "\n"
+        + "\n".join(f"3 {a} {b} {c}" for a, b, c in box.faces)
+    )
+    made = ng(
+        "synthesise",
+        "--hand",
+        "my.xml",
+        "--object",
+        "my.off",
+        "--count",
+        2,
+        "--report",
+        "page/p.html",
+        "--out",
+        "g/a.safetensors",
+    )
+    assert made.code == 0, made.err
+    assert made.result["validated"] == 2 and made.result["wall_s"] > 0 and made.result["grasps_per_minute"] > 0
+    page = Path("page/p.html").read_text()
+    assert "my.off" in page and page.count("data:image/") == 5  # two grasps, their contact maps, the hand
+    grasps = neuralgrasps.load_grasps("g/a.safetensors")
+    assert grasps.validated.all() and grasps.config["hand_source"] == str(tmp_path / "my.xml")
+    measured = ng("evaluate", "g/a.safetensors")  # finds the files again
+    assert measured.code == 0 and measured.result["pairs"][0]["held_share"] == 1
+    assert measured.result["pairs"][0]["penetration_p95_mm"] == pytest.approx(made.result["penetration_p95_mm"])
+
+
+def test_no_grasp_is_a_failure_with_a_reason(ng: Call, tmp_path: Path) -> None:
+    out = tmp_path / "g.safetensors"
+    wall = tmp_path / "wall.off"  # 60 cm each way: no jaw opens that far
+    corners = [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (-0.3, 0.3)]
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    wall.write_text(
+        "OFF\n8 6 0\n"
+        + "\n".join(" ".join(map(str, c)) for c in corners)
+        + "\n"
+        + "\n".join(f"4 {' '.join(map(str, f))}" for f in quads)
+    )
+    made = ng("synthesise", "--hand", "panda", "--object", wall, "--count", 2, "--max-rounds", 1, "--out", out)
+    assert made.code == 1 and made.result["validated"] == 0
+    assert "aperture" in made.result["reason"] and "aperture" in made.out
+    assert not out.exists()
+
+
+def test_dataset_info_and_verify(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
+    info = ng("dataset", "info", pipeline.dataset)
+    assert (
+        info.result["grasps"] == 12 and info.result["hands"] == ["fetch", "panda"] and info.result["size_bytes"] > 1e4
+    )
+    sound = ng("dataset", "verify", pipeline.dataset)
+    assert sound.code == 0 and sound.result["ok"] and sound.result["max_error_mm"] < 2e-3
+    copy = tmp_path / "copy"
+    shutil.copytree(pipeline.dataset, copy)
+    shard = max(copy.rglob("*.safetensors"), key=lambda p: p.stat().st_size)
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    shard.write_bytes(bytes(data))
+    damaged = ng("dataset", "verify", copy)
+    assert damaged.code == 1 and not damaged.result["ok"] and shard.name in damaged.out
+
+
+def test_dataset_build_resumes(ng: Call, pipeline: Pipeline) -> None:
+    again = ng(
+        "dataset",
+        "build",
+        pipeline.grasps,
+        "--out",
+        pipeline.dataset,
+        "--store-samples",
+        "--queries",
+        200,
+        "--workers",
+        1,
+    )
+    assert again.code == 0 and (again.result["built"], again.result["kept"]) == (0, 2)
+
+
+def test_evaluate_run_and_dataset(ng: Call, pipeline: Pipeline) -> None:
+    run = ng("evaluate", pipeline.run)
+    assert run.code == 0 and 0 <= run.result["mean_gap"] < 0.3
+    dataset = ng("evaluate", pipeline.dataset)
+    assert dataset.code == 0 and dataset.result["grasps"] == 12
+    assert all(p["held_share"] == 1 for p in dataset.result["pairs"])
+
+
+def test_retrieve(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
+    picture = tmp_path / "r.png"
+    query = ("--query-hand", "panda", "--query-index", 0)
+    found = ng("retrieve", pipeline.run, *query, "--hand", "fetch", "--count", 2, "--picture", picture)
+    assert found.code == 0 and [r["hand"] for r in found.result["results"]] == ["fetch", "fetch"]
+    with Image.open(picture) as image:
+        assert image.width == 3 * image.height
+    file = pipeline.grasps / "gelatin_box" / "panda.safetensors"
+    same = ng("retrieve", pipeline.run, "--query", file, "--query-index", 0, "--count", 1)
+    assert same.result["results"][0]["grasp_index"] == 0  # the grasp itself is in the run
+    assert same.result["results"][0]["contact_distance"] == pytest.approx(0, abs=1e-5)
+    far = ng("retrieve", pipeline.run, *query, "--farthest", "--count", 1)
+    assert far.result["results"][0]["code_distance"] >= max(r["code_distance"] for r in found.result["results"])
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
+    """A depth image of the mustard bottle on a table (mm), its mask and its cloud; and the true X_CO."""
+    folder = tmp_path_factory.mktemp("scan")
+    obj = neuralgrasps.load_object("mustard_bottle")
+    camera = Intrinsics(300, 300, 159.5, 119.5, 320, 240)
+    X_WC = look_at(np.array([0.4, 0.25, 0.3]), np.zeros(3))
+    view = render_depth_view([obj.mesh], np.eye(4)[None], X_WC=X_WC, intrinsics=camera)
+    mask = view.mesh_index == 0
+    Image.fromarray((view.depth * 1e4).round().astype(np.uint16)).save(folder / "depth.png")
+    Image.fromarray((mask * 255).astype(np.uint8)).save(folder / "mask.png")
+    points = back_project(view.depth, camera)
+    np.save(folder / "cloud.npy", points)
+    np.savetxt(folder / "cloud.xyz", points * 1e3)
+    return folder, np.linalg.inv(X_WC)
+
+
+def test_pose_from_depth_and_from_clouds(ng: Call, scan: tuple[Path, np.ndarray], tmp_path: Path) -> None:
+    folder, X_CO_true = scan
+    turned = X_CO_true @ np.diag([-1.0, -1.0, 1.0, 1.0])  # the bottle looks the same from behind
+    depth = ("--depth", folder / "depth.png", "--depth-scale", 10000, "--fx", 300, "--mask", folder / "mask.png")
+    for source in (
+        (*depth, "--out", tmp_path / "overlay.png"),
+        ("--cloud", folder / "cloud.npy"),
+        ("--cloud", folder / "cloud.xyz", "--cloud-scale", 1000),
+    ):
+        found = ng("pose", "mustard_bottle", *source)
+        assert found.code == 0 and found.result["converged"]
+        X_CO = np.array(found.result["X_CO_m"])
+        assert min(np.abs(X_CO - true).max() for true in (X_CO_true, turned)) < 0.01
+        assert found.result["residual_median_mm"] < 0.5
+    with Image.open(tmp_path / "overlay.png") as image:
+        assert image.size == (640, 480)
+
+
+def test_points_of_another_object_are_not_found(ng: Call, scan: tuple[Path, np.ndarray]) -> None:
+    found = ng("pose", "gelatin_box", "--cloud", scan[0] / "cloud.npy", "--cloud-scale", 1.3)
+    assert found.code == 1 and not found.result["converged"]
