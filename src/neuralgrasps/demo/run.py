@@ -108,7 +108,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
     Raises:
         InputError: an unknown or broken hand or object, or an output folder that cannot be written.
     """
-    from neuralgrasps.demo.page import write_page  # noqa: PLC0415 - pictures are drawn last; matplotlib is slow to import
+    from neuralgrasps.demo.page import write_page  # noqa: PLC0415 - what draws is slow to import, and drawn last
 
     config = config or DemoConfig()
     say = progress or (lambda *_: None)
