@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
+from neuralgrasps.dataset.build import build_dataset
+from neuralgrasps.dataset.read import GraspDataset, read_dataset
+from neuralgrasps.dataset.schema import DatasetConfig
 from neuralgrasps.geometry.mesh import Mesh, mass_properties
-from neuralgrasps.geometry.primitives import convex_hull
+from neuralgrasps.geometry.primitives import box_mesh, convex_hull, sphere_mesh
 from neuralgrasps.geometry.sdf_grid import build_sdf_grid
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.objects.build import surface_points
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.symmetry import find_symmetry, trivial_symmetry
+
+if TYPE_CHECKING:
+    from neuralgrasps.model.train import TrainResult
 
 ASSETS = Path(__file__).resolve().parents[1].parent / "shared" / "assets"
 
@@ -50,3 +61,69 @@ def _make_object(name: str, mesh: Mesh, *, cells: int = 64, points: int = 1024, 
 def make_object() -> Callable[..., ObjectModel]:
     """`make_object(name, mesh, cells=64, points=1024, symmetry=False)`: an object made in a moment, nothing cached."""
     return _make_object
+
+
+def _placed_grasps(hand: Hand, obj: ObjectModel, count: int, seed: int) -> GraspSet:
+    """Open hands whose palm faces the object from a random side, 3 cm off: scenes to learn from, not valid grasps."""
+    rng = np.random.default_rng(seed)
+    X_OH, q = np.tile(np.eye(4), (count, 1, 1)), np.empty((count, hand.num_dofs))
+    for i in range(count):
+        k = int(rng.integers(len(obj.points_O)))
+        z = -obj.normals_O[k]
+        x = np.cross(z, rng.normal(size=3))
+        x /= np.linalg.norm(x)
+        X_OP = np.eye(4)
+        X_OP[:3, :3], X_OP[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), obj.points_O[k] - 0.03 * z
+        X_OH[i] = X_OP @ np.linalg.inv(hand.X_HP)
+        q[i] = rng.uniform(hand.preshape_lower, hand.preshape_upper)
+    left, _, right = np.linalg.svd(X_OH[:, :3, :3])
+    X_OH[:, :3, :3] = left @ right  # the palm frames of the hands are rotations to 1e-6 only
+    none = np.zeros((count, 0, 3))
+    return GraspSet(
+        hand=hand.name, object=obj.name, X_OH=X_OH, q=q, q_pregrasp=q, q_squeeze=q, contact_points_O=none,
+        contact_normals_O=none, contact_links=np.zeros((count, 0), np.int32), epsilon=np.zeros(count),
+        penetration_m=np.zeros(count), seed=seed,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmallWorld:
+    """Two hands, two objects and 12 placed grasps of each pair: what a small dataset is built from."""
+
+    hands: dict[str, Hand]
+    objects: dict[str, ObjectModel]
+    grasp_sets: tuple[GraspSet, ...]
+    config: DatasetConfig
+
+
+@pytest.fixture(scope="session")
+def small_world() -> SmallWorld:
+    hands = {name: load_hand(name) for name in ("allegro", "fetch")}
+    meshes = {"brick": box_mesh([0.03, 0.05, 0.08]), "ball": sphere_mesh(0.04)}
+    objects = {name: _make_object(name, mesh, cells=48, points=512) for name, mesh in meshes.items()}
+    sets = tuple(
+        _placed_grasps(h, o, 12, seed=7 * i + j)
+        for i, h in enumerate(hands.values())
+        for j, o in enumerate(objects.values())
+    )
+    return SmallWorld(
+        hands=hands, objects=objects, grasp_sets=sets, config=DatasetConfig(queries_per_scene=600, seed=3)
+    )
+
+
+@pytest.fixture(scope="session")
+def small_dataset(small_world: SmallWorld, tmp_path_factory: pytest.TempPathFactory) -> GraspDataset:
+    """The small world as a built dataset; do not change its files."""
+    folder = tmp_path_factory.mktemp("small") / "dataset"
+    world = small_world
+    build_dataset(folder, world.grasp_sets, hands=world.hands, objects=world.objects, config=world.config)
+    return read_dataset(folder)
+
+
+@pytest.fixture(scope="session")
+def small_run(small_world: SmallWorld, small_dataset: GraspDataset) -> TrainResult:
+    """A field fitted to the small dataset in few steps."""
+    from neuralgrasps.model.train import TrainConfig, train  # noqa: PLC0415 - imports torch
+
+    config = TrainConfig(steps=60, batch=16, variants=1, noise_min=0.4, seed=1)
+    return train(small_dataset, hands=small_world.hands, objects=small_world.objects, config=config)

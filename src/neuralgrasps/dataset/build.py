@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from safetensors.numpy import save
 
 import neuralgrasps
 from neuralgrasps.dataset.samples import Normalisation, normalisation_of
@@ -24,6 +23,7 @@ from neuralgrasps.dataset.schema import (
 )
 from neuralgrasps.dataset.shards import ShardFiles, ShardTask, build_shard, fingerprint_of, write_grasps
 from neuralgrasps.dataset.splits import split_grasps
+from neuralgrasps.dataset.tensor_files import tensor_bytes
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet
@@ -162,7 +162,7 @@ def _write_object(folder: Path, model: ObjectModel, frame: Normalisation) -> Obj
         "vertices_O": np.ascontiguousarray(model.mesh.vertices, np.float64),
         "faces": np.ascontiguousarray(model.mesh.faces, np.int32),
     }
-    write_whole(folder / name, save(arrays))
+    write_whole(folder / name, tensor_bytes(arrays))
     return ObjectEntry(
         content_hash=model.content_hash,
         offset_O=(float(frame.offset_O[0]), float(frame.offset_O[1]), float(frame.offset_O[2])),

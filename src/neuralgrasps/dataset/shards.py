@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import load, save
+from safetensors.numpy import load
 
 from neuralgrasps.dataset.samples import Normalisation, SdfSamples, contact_maps, sample_scenes
 from neuralgrasps.dataset.schema import SCHEMA_VERSION, DatasetConfig, sha256_of_file
+from neuralgrasps.dataset.tensor_files import canonical_bytes, tensor_bytes
 from neuralgrasps.errors import DataFormatError
 from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.mesh import Mesh
@@ -95,6 +96,7 @@ def write_grasps(folder: Path, grasps: GraspSet) -> str:
     path = folder / shard_paths(grasps.hand, grasps.object)[0]
     path.parent.mkdir(parents=True, exist_ok=True)
     save_grasps(path, grasps)
+    write_whole(path, canonical_bytes(path.read_bytes()))
     return sha256_of_file(path)
 
 
@@ -103,7 +105,7 @@ def build_shard(task: ShardTask) -> ShardFiles:
     grasps_name, samples_name = shard_paths(task.hand, task.object)
     samples_path = task.folder / samples_name
     key = shard_key(task)
-    missing = shard_key_on_disk(samples_path) != key
+    missing = not is_whole(samples_path, key)
     if missing:
         write_whole(samples_path, _sample_bytes(task, key))
     return ShardFiles(
@@ -150,18 +152,38 @@ def _sample_bytes(task: ShardTask, key: str) -> bytes:
             "sdf_hand": samples.sdf_hand,
             "hand_index": samples.hand_index,
         }
-    return save(arrays, metadata={"key": key, "hand": task.hand, "object": task.object})
+    metadata = {"key": key, "content": _content_hash(arrays), "hand": task.hand, "object": task.object}
+    return tensor_bytes(arrays, metadata)
 
 
-def shard_key_on_disk(path: Path) -> str | None:
-    """The key of a finished sample file; None when there is none or it cannot be read."""
+def _content_hash(arrays: Mapping[str, np.ndarray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape}".encode())
+        digest.update(np.ascontiguousarray(arrays[name]))
+    return digest.hexdigest()
+
+
+def is_whole(path: Path, key: str) -> bool:
+    """Whether a sample file is there, was computed from the inputs of this key, and has not changed since."""
+    metadata = metadata_on_disk(path)
+    if metadata.get("key") != key:
+        return False
+    try:
+        return _content_hash(load(path.read_bytes())) == metadata.get("content")
+    except (SafetensorError, OSError):
+        return False
+
+
+def metadata_on_disk(path: Path) -> Mapping[str, str]:
+    """The header notes of a sample file; empty when there is none or it cannot be read."""
     if not path.is_file():
-        return None
+        return {}
     try:
         with safe_open(path, framework="numpy") as file:
-            return (file.metadata() or {}).get("key")
+            return file.metadata() or {}
     except (SafetensorError, OSError):
-        return None
+        return {}
 
 
 def read_arrays(path: Path, *, sha256: str | None = None) -> Mapping[str, np.ndarray]:

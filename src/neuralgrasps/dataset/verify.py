@@ -9,7 +9,7 @@ import numpy as np
 
 from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.dataset.schema import ShardEntry, sha256_of_file
-from neuralgrasps.dataset.shards import read_arrays, shard_key_on_disk
+from neuralgrasps.dataset.shards import metadata_on_disk, read_arrays
 from neuralgrasps.errors import NeuralGraspsError
 from neuralgrasps.geometry.mesh import signed_distance
 from neuralgrasps.seeds import child_rng
@@ -48,14 +48,17 @@ def verify_dataset(dataset: GraspDataset, *, spot_checks: int = 200, seed: int =
     problems: list[str] = []
     errors = [0.0]
     files = scenes = 0
+    damaged: set[str] = set()
     for name, entry in sorted(dataset.manifest.objects.items()):
         files += 1
-        problems += _file_problems(dataset, entry.file, entry.sha256, f"object {name}")
+        found = _file_problems(dataset, entry.file, entry.sha256, f"object {name}")
+        problems += found
+        damaged |= {name} if found else set()
     for entry in dataset.manifest.shards:
         files += 2
         scenes += entry.scenes
         found = list(_shard_problems(dataset, entry))
-        if not found:
+        if not found and entry.object not in damaged:
             error = _spot_error(dataset, entry, spot_checks, seed)
             errors.append(error)
             if error > TOLERANCE_M:
@@ -80,7 +83,7 @@ def _shard_problems(dataset: GraspDataset, entry: ShardEntry) -> Iterator[str]:
     if damaged:
         yield from damaged
         return
-    if shard_key_on_disk(dataset.folder / entry.samples_file) != entry.key:
+    if metadata_on_disk(dataset.folder / entry.samples_file).get("key") != entry.key:
         yield f"{entry.samples_file}: was made from other inputs than the manifest says"
     split = [*entry.split.train, *entry.split.test, *entry.split.spare]
     if sorted(split) != list(range(entry.scenes)):

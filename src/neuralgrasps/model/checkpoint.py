@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
-from safetensors.numpy import save as save_arrays
 
 import neuralgrasps
+from neuralgrasps.dataset.tensor_files import tensor_bytes
 from neuralgrasps.errors import DataFormatError, unknown_name
 from neuralgrasps.files import write_whole
 from neuralgrasps.hands.hand import Hand
@@ -51,8 +51,8 @@ def save_run(folder: str | Path, result: TrainResult) -> Path:
         arrays |= {f"object.{i}.{name}": np.ascontiguousarray(getattr(codec, name)) for name in _OBJECT_ARRAYS}
     if field.decoder is not None:
         arrays |= {f"decoder.{k}": v.detach().cpu().contiguous().numpy() for k, v in field.decoder.state_dict().items()}
-    field_bytes = save_arrays(arrays)
-    code_bytes = save_arrays({name: np.ascontiguousarray(getattr(book, name)) for name in _BOOK_ARRAYS})
+    field_bytes = tensor_bytes(arrays)
+    code_bytes = tensor_bytes({name: np.ascontiguousarray(getattr(book, name)) for name in _BOOK_ARRAYS})
     run = {
         "version": VERSION,
         "library_version": neuralgrasps.__version__,

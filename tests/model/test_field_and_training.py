@@ -1,0 +1,159 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from neuralgrasps.dataset.samples import hand_distances
+from neuralgrasps.errors import DataFormatError, InputError, ShapeError, UnknownNameError
+from neuralgrasps.geometry.rotation import matrix_from_6d
+from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.model.checkpoint import load_run, restored_config, save_run
+from neuralgrasps.model.codes import ANCHORS
+from neuralgrasps.model.field import GraspField
+from neuralgrasps.model.kinematic_field import KinematicField
+from neuralgrasps.model.losses import HandPoints, clamped_l1, point_distances, variable_margin_triplet
+from neuralgrasps.model.train import TrainConfig, add_noise, train
+
+
+def test_field_is_exact_for_the_hand_and_the_grid_for_the_object(small_world) -> None:
+    field = KinematicField(hands=small_world.hands, objects=small_world.objects)
+    assert isinstance(field, GraspField)
+    grasps = small_world.grasp_sets[1]
+    book = field.encode(grasps.X_OH, grasps.q, hand=grasps.hand, object_name=grasps.object)
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (300, 3))  # inside the grid
+    out = field(torch.as_tensor(points), torch.as_tensor(book.values).double(), hand=grasps.hand, object_name="ball")
+    assert out.sdf_hand.shape == out.sdf_object.shape == (12, 300)
+    expected = hand_distances(field.packed[grasps.hand], grasps.X_OH, grasps.q, points)
+    assert np.allclose(out.sdf_hand.numpy(), expected, atol=2e-6)
+    assert np.allclose(out.sdf_object[0].numpy(), np.linalg.norm(points, axis=1) - 0.04, atol=1e-3)
+
+
+def test_field_is_differentiable_in_the_code(small_world) -> None:
+    field = KinematicField(hands=small_world.hands, objects=small_world.objects)
+    grasps = small_world.grasp_sets[0]
+    book = field.encode(grasps.X_OH[:1], grasps.q[:1], hand="allegro", object_name="brick")
+    code = torch.as_tensor(book.values).double().requires_grad_()
+    point = torch.tensor([[0.05, 0.06, 0.02]], dtype=torch.float64)
+    field(point, code, hand="allegro", object_name="brick").sdf_hand.sum().backward()
+    step = torch.zeros_like(code)
+    step[0, ANCHORS : ANCHORS + 3] = torch.tensor([1.0, -2.0, 0.5])
+    step[0, ANCHORS + 9 : ANCHORS + 12] = 0.3
+    with torch.no_grad():
+        values = [field(point, code + e * step, hand="allegro", object_name="brick").sdf_hand for e in (1e-6, -1e-6)]
+    numeric = float((values[0] - values[1]) / 2e-6)
+    assert float((code.grad * step).sum()) == pytest.approx(numeric, rel=1e-4)
+
+
+def test_a_new_hand_needs_no_training(small_run, small_world) -> None:
+    barrett = load_hand("barrett")
+    field = small_run.field.with_hand(barrett)
+    q = 0.5 * (barrett.tree.lower + barrett.tree.upper)[None]
+    X_OH = np.eye(4)[None]
+    book = field.encode(X_OH, q, hand="barrett", object_name="brick")
+    back = field.decode(torch.as_tensor(book.values), hand="barrett", object_name="brick", noise_level=0.1)
+    assert np.allclose(back.q.numpy(), q, atol=1e-6)
+    assert field.hand_codecs["allegro"] is small_run.field.hand_codecs["allegro"]
+    with pytest.raises(UnknownNameError, match="'barret' is not known"):
+        small_run.field.hand("barret")
+
+
+def test_wrong_codes_are_refused(small_world) -> None:
+    field = KinematicField(hands=small_world.hands, objects=small_world.objects)
+    with pytest.raises(ShapeError, match="128"):
+        field.decode(torch.zeros(2, 100), hand="fetch", object_name="ball")
+    with pytest.raises(InputError, match="noise_level"):
+        field.decode(torch.zeros(2, 128), hand="fetch", object_name="ball", noise_level=-1.0)
+
+
+def test_training_lowers_the_loss_and_repeats_exactly(small_world, small_dataset, small_run) -> None:
+    again = train(small_dataset, hands=small_world.hands, objects=small_world.objects, config=small_run.config)
+    assert np.array_equal(again.losses, small_run.losses)
+    for a, b in zip(again.field.decoder.parameters(), small_run.field.decoder.parameters(), strict=True):
+        assert torch.equal(a, b)
+    assert small_run.losses[-8:].mean() < 0.9 * small_run.losses[:8].mean()
+
+
+def test_test_grasps_are_marked_and_not_trained_on(small_dataset, small_run) -> None:
+    book = small_run.codebook
+    assert len(book) == 48 and book.is_test.sum() == 8
+    for hand, obj in small_dataset.pairs:
+        rows = book[book.where(hand=hand, object_name=obj, is_test=True)]
+        assert rows.grasp_index.tolist() == small_dataset.split(hand, obj).test.tolist()
+
+
+def test_correction_vanishes_with_the_noise_level(small_run) -> None:
+    codes = torch.as_tensor(small_run.codebook.values[small_run.codebook.where(hand="allegro", object_name="brick")])
+    decode = small_run.field.decode
+    exact = decode(codes, hand="allegro", object_name="brick").X_OH
+    shifts = [
+        float((decode(codes, hand="allegro", object_name="brick", noise_level=s).X_OH - exact).abs().max())
+        for s in (1e-5, 1e-3, 0.1)
+    ]
+    assert shifts[0] < 1e-5 < shifts[2] and shifts[0] < shifts[1] < shifts[2]
+
+
+def test_noise_keeps_rotations_and_unused_columns() -> None:
+    codes = torch.zeros(50, 128)
+    codes[:, ANCHORS + 3], codes[:, ANCHORS + 7] = 1.0, 1.0
+    noisy = add_noise(
+        codes, torch.full((50,), 0.2), joints=4, contact_noise=0.0, generator=torch.Generator().manual_seed(0)
+    )
+    columns = noisy[:, ANCHORS + 3 : ANCHORS + 9]
+    R = matrix_from_6d(columns)
+    assert torch.allclose(torch.cat([R[..., 0], R[..., 1]], dim=-1), columns, atol=1e-5)
+    assert (noisy[:, :ANCHORS] == 0).all() and (noisy[:, ANCHORS + 13 :] == 0).all()
+    assert float(noisy[:, ANCHORS + 9 : ANCHORS + 13].std()) == pytest.approx(0.2, rel=0.2)
+
+
+def test_losses_by_hand(small_world) -> None:
+    assert float(clamped_l1(torch.tensor([0.2, 0.0]), torch.tensor([0.5, -0.01]), clamp=0.1)) == pytest.approx(0.055)
+    field = KinematicField(hands=small_world.hands, objects=small_world.objects)
+    material = HandPoints(small_world.hands["allegro"], field.packed["allegro"], count=20)
+    X = torch.eye(4).repeat(2, 1, 1)
+    q = torch.zeros(2, 16)
+    X[1, :3, 3] = torch.tensor([0.03, 0.0, 0.04])
+    points = material.posed(X, q)
+    assert point_distances(points[:1], points[1:])[0] == pytest.approx(0.05, rel=1e-4)
+    codes, maps = torch.tensor([[0.0], [1.0], [3.0]]), torch.tensor([[0.0], [0.1], [0.6]])
+    index = (torch.tensor([0]), torch.tensor([2]), torch.tensor([1]))  # the nearer map must become the positive
+    assert float(variable_margin_triplet(codes, maps, *index)) == pytest.approx(0.0)
+    assert float(variable_margin_triplet(codes * 0, maps, *index)) == pytest.approx(0.5)
+
+
+def test_checkpoint_round_trip(small_world, small_run, tmp_path: Path) -> None:
+    save_run(tmp_path, small_run)
+    run = load_run(tmp_path, hands=small_world.hands, objects=small_world.objects)
+    assert restored_config(run) == small_run.config
+    assert np.array_equal(run.codebook.values, small_run.codebook.values)
+    assert np.array_equal(run.losses, small_run.losses)
+    codes = torch.as_tensor(run.codebook.values[run.codebook.where(hand="fetch", object_name="ball")])
+    a, b = (
+        f.decode(codes, hand="fetch", object_name="ball", noise_level=0.1).X_OH for f in (run.field, small_run.field)
+    )
+    assert torch.equal(a, b)
+    assert {p.suffix for p in tmp_path.iterdir()} == {".json", ".safetensors"}
+
+
+def test_damaged_and_missing_checkpoints_are_refused(small_world, small_run, tmp_path: Path) -> None:
+    models = {"hands": small_world.hands, "objects": small_world.objects}
+    with pytest.raises(DataFormatError, match=r"run\.json is missing"):
+        load_run(tmp_path, **models)
+    save_run(tmp_path, small_run)
+    with pytest.raises(UnknownNameError, match="'allegro'"):
+        load_run(tmp_path, hands={}, objects=small_world.objects)
+    data = bytearray((tmp_path / "field.safetensors").read_bytes())
+    data[-1] ^= 1
+    (tmp_path / "field.safetensors").write_bytes(data)
+    with pytest.raises(DataFormatError, match="sha256 differs"):
+        load_run(tmp_path, **models)
+    (tmp_path / "run.json").write_text("{")
+    with pytest.raises(DataFormatError, match="damaged"):
+        load_run(tmp_path, **models)
+
+
+def test_bad_training_configs_are_refused() -> None:
+    with pytest.raises(InputError, match="noise_min"):
+        TrainConfig(noise_min=0.0)
+    with pytest.raises(InputError, match="batch 0"):
+        TrainConfig(batch=0)

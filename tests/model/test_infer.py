@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+from neuralgrasps.dataset.hand_surface import sample_posed_surface
+from neuralgrasps.errors import InputError
+from neuralgrasps.model.hand_fit import fit_cost, fit_hand
+from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps, infer_hand, material_points
+from neuralgrasps.model.reconstruct import hand_surface_distances
+
+
+def clouds_of(field, grasps, chosen, count: int = 600, noise: float = 0.0) -> list[np.ndarray]:
+    rng = np.random.default_rng(0)
+    packed = field.packed[grasps.hand]
+    clouds = [sample_posed_surface(packed, grasps.X_OH[i], grasps.q[i], count, rng) for i in chosen]
+    return [cloud + rng.normal(scale=noise, size=cloud.shape) for cloud in clouds]
+
+
+def test_fit_gradient_matches_differences(small_run, small_world) -> None:
+    """One small damped step must lower the cost from every start, and a fitted hand must stay."""
+    grasps = small_world.grasp_sets[0]
+    packed = small_run.field.packed["allegro"]
+    cloud = clouds_of(small_run.field, grasps, [0])[0]
+    material = material_points(packed)
+    X, q = np.array(grasps.X_OH[0]), np.array(grasps.q[0])
+    q = np.clip(q + 0.1, packed.lower, packed.upper)
+    X[:3, 3] += [0.004, -0.003, 0.002]
+    before = fit_cost(packed, cloud, material, X, q, q, 0.01, 0.0, 0.0)
+    cost, _, stopped = fit_hand(packed, cloud, material, X, q, q.copy(), 60, 0.01, 0.0, 0.0)
+    assert stopped and cost < 1e-3 * before
+    assert np.abs(X - grasps.X_OH[0]).max() < 1e-3
+    assert np.linalg.norm(X[:3, :3] @ X[:3, :3].T - np.eye(3)) < 1e-9
+    assert (q >= packed.lower).all() and (q <= packed.upper).all()
+
+
+@pytest.mark.parametrize("pair", [0, 3])
+def test_unseen_grasps_are_found_from_points(small_run, small_world, small_dataset, pair: int) -> None:
+    grasps = small_world.grasp_sets[pair]
+    test = small_dataset.split(grasps.hand, grasps.object).test
+    gallery = small_run.codebook[~small_run.codebook.is_test]
+    clouds = clouds_of(small_run.field, grasps, test)
+    result = infer_grasps(clouds, small_run.field, gallery, hand=grasps.hand, object_name=grasps.object)
+    errors = hand_surface_distances(
+        small_run.field.packed[grasps.hand], result.X_OH, result.q, grasps.X_OH[test], grasps.q[test], seed=0
+    )
+    assert result.converged.all()
+    assert errors.mean() < 0.001
+    assert (result.residual_m < 0.001).all()
+
+
+def test_inference_repeats_exactly_and_says_when_it_failed(small_run, small_world) -> None:
+    gallery = small_run.codebook[~small_run.codebook.is_test]
+    nonsense = [np.random.default_rng(0).uniform(-0.1, 0.1, (200, 3))]
+    config = InferConfig(rounds=1, starts=3, finalists=1)
+    a, b = (
+        infer_grasps(nonsense, small_run.field, gallery, hand="fetch", object_name="ball", config=config)
+        for _ in range(2)
+    )
+    assert np.array_equal(a.q, b.q) and np.array_equal(a.X_OH, b.X_OH)
+    assert not a.converged[0] and a.residual_m[0] > 0.003
+
+
+def test_the_right_hand_is_recognised(small_run, small_world) -> None:
+    gallery = small_run.codebook[~small_run.codebook.is_test]
+    cloud = clouds_of(small_run.field, small_world.grasp_sets[0], [0], noise=0.0005)[0]
+    config = InferConfig(rounds=2, starts=6, finalists=2)
+    name, result = infer_hand(cloud, small_run.field, gallery, object_name="brick", config=config)
+    assert name == "allegro" and result.q.shape == (1, 16)
+
+
+def test_contact_block_straight_from_points(small_run, small_world) -> None:
+    grasps = small_world.grasp_sets[0]
+    dense = clouds_of(small_run.field, grasps, range(4), count=20_000)
+    seen = encode_points(dense, small_run.field, object_name="brick")
+    known = small_run.field.encode(grasps.X_OH[:4], grasps.q[:4], hand="allegro", object_name="brick")
+    outside = known.contact_block < 0.95  # object points inside the hand are at its surface for the points
+    error = np.abs(seen.contact_block - known.contact_block)[outside]
+    assert error.max() < 0.1 and error.mean() < 0.005  # sampling only
+    assert np.isnan(seen.values[:, 96:]).all()
+
+
+def test_bad_clouds_are_refused(small_run) -> None:
+    with pytest.raises(InputError, match="cloud 0 has 3"):
+        encode_points([np.zeros((3, 3))], small_run.field, object_name="brick")
+    with pytest.raises(InputError, match="at least 1"):
+        InferConfig(starts=0)
