@@ -14,6 +14,7 @@ from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetrat
 from neuralgrasps.grasps.wrench_space import characteristic_length, fill_grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand, pack_hand
+from neuralgrasps.kinematics.forward_kernels import link_poses
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.close import Closing, close_fingers, close_jaw, make_closing
 from neuralgrasps.synthesis.clusters import Clusters, cluster_points, hand_clearance
@@ -111,9 +112,32 @@ def make_problem(
 
 
 @njit(cache=True, error_model="numpy")
-def _close_and_assess(
+def _open_idle(packed, closing, contact_links, q_start, q, X_HL):
+    """Open the fingers that touch nothing to where they started, so that they are out of the others' way.
+
+    Returns whether any joint moved; `q` and `X_HL` change.
+    """
+    busy = np.zeros(closing.groups, np.bool_)
+    for link in contact_links:
+        if closing.link_group[link] >= 0:
+            busy[closing.link_group[link]] = True
+    moved = False
+    for j in range(q.shape[0]):
+        if closing.group[j] >= 0 and not busy[closing.group[j]] and q[j] != q_start[j]:
+            q[j] = q_start[j]
+            moved = True
+    if moved:
+        link_poses(
+            packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
+            q, X_HL,
+        )  # fmt: skip
+    return moved
+
+
+@njit(cache=True, error_model="numpy")
+def _close_and_assess(  # type: ignore[no-untyped-def]
     values, origin, inv_spacing, packed, clusters, closing, is_jaw, points_O, com, length, friction, torsion, threshold,
-    max_penetration, X_OH, q, eps, penetration, outcome,
+    max_penetration, q_start, X_OH, q, eps, penetration, outcome,
 ):  # fmt: skip
     links = packed.link_radius.shape[0]
     X_HL = np.zeros((links, 4, 4))
@@ -150,6 +174,9 @@ def _close_and_assess(
         if quality <= 0.0:
             outcome[i] = NO_FORCE_CLOSURE
             continue
+        own_depth = self_penetration(packed, X_HL)
+        if own_depth > max_penetration and _open_idle(packed, closing, contact_links[:count], q_start[i], q[i], X_HL):
+            own_depth = self_penetration(packed, X_HL)
         depth = max(
             -hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH[i], X_HL),
             object_points_in_hand(points_O, values, origin, inv_spacing, packed, X_OH[i], X_HL),
@@ -158,11 +185,10 @@ def _close_and_assess(
         if depth > max_penetration:
             outcome[i] = PENETRATES
             continue
-        depth = self_penetration(packed, X_HL)
-        if depth > max_penetration:
+        penetration[i] = max(penetration[i], own_depth)
+        if own_depth > max_penetration:
             outcome[i] = SELF_COLLIDES
             continue
-        penetration[i] = max(penetration[i], depth)
         eps[i] = quality
         outcome[i] = VALID
 
@@ -176,7 +202,7 @@ def close_and_assess(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> 
     _close_and_assess(
         *problem.sdf_arrays, problem.packed, problem.clusters, problem.closing, hand.is_jaw, obj.points_O, obj.com_O,
         problem.length, problem.friction, problem.torsion, problem.contact_threshold_m, problem.max_penetration_m,
-        X_OH, closed, eps, depth, outcome,
+        q_start, X_OH, closed, eps, depth, outcome,
     )  # fmt: skip
     return Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=eps, penetration_m=depth, outcome=outcome)
 

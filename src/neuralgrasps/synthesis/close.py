@@ -28,8 +28,8 @@ class Closing(NamedTuple):
     """How a hand closes.
 
     Attributes:
-        group (J,), link_group (L,) int64: joints that move a common link share a group and close in step; groups (mostly
-            fingers) do not affect each other's contacts and close one after the other. -1: not closing.
+        group (J,), link_group (L,) int64: joints that move a common link share a group and close in step; groups
+            (mostly fingers) do not affect each other's contacts and close one after the other. -1: not closing.
         groups: number of groups.
         side (L,) int8: of a jaw, +1 for links that close along `axis_H`, -1 against it, 0 for the palm.
         axis_H (3,): the closing line of a jaw.
@@ -66,7 +66,7 @@ def make_closing(hand: Hand) -> Closing:
 
 
 @njit(cache=True, error_model="numpy")
-def _speed_bound(packed, X_HL, link, active):
+def _speed_bound(packed, X_HL, link, active):  # type: ignore[no-untyped-def]
     """Largest speed (m/s) that any point of a link can have while the active joints close.
 
     It also bounds the distance a point ends up from its start: turn the joints one by one, inner ones first, and none
@@ -100,7 +100,7 @@ def _speed_bound(packed, X_HL, link, active):
 
 
 @njit(cache=True, error_model="numpy")
-def _freeze(packed, link, active):
+def _freeze(packed, link, active):  # type: ignore[no-untyped-def]
     """Stop every closing joint that carries `link`."""
     i = link
     while i > 0:
@@ -111,7 +111,7 @@ def _freeze(packed, link, active):
 
 
 @njit(cache=True, error_model="numpy")
-def _room(packed, q, active):
+def _room(packed, q, active):  # type: ignore[no-untyped-def]
     """Time until the first active joint meets its limit; joints at their limit stop."""
     step = 1.0e9
     for j in range(q.shape[0]):
@@ -126,7 +126,7 @@ def _room(packed, q, active):
 
 
 @njit(cache=True, error_model="numpy")
-def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X):
+def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X):  # type: ignore[no-untyped-def]
     for _ in range(MAX_STEPS):
         step = _room(packed, q, active)
         for link in range(1, packed.link_radius.shape[0]):
@@ -158,7 +158,7 @@ def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, 
 
 
 @njit(cache=True, error_model="numpy")
-def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):
+def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):  # type: ignore[no-untyped-def]
     """Close one hand in place: `q` (J,) and its link poses `X_HL` (L, 4, 4) end in contact.
 
     Returns False when the start already penetrates by more than `START_OVERLAP_M`.
@@ -177,7 +177,7 @@ def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, 
 
 
 @njit(cache=True, error_model="numpy")
-def close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):
+def close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):  # type: ignore[no-untyped-def]
     """Close a parallel jaw in place and centre it: `q` (J,), `X_OH` and `X_HL` change.
 
     Both pads advance by their own distance at once: half of the sum closes the jaw, half of the
@@ -210,7 +210,7 @@ def close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X
                 room = min(room, max((end - q[j]) / closing.unit[j], 0.0))
         free = max(nearest[1] - 1.0e-4, 0.0)  # how far the palm may shift
         shift = min(max(0.5 * (plus - minus), -free), free)
-        advance = min(min(plus - shift, minus + shift), room)
+        advance = min(plus - shift, minus + shift, room)
         if advance < 1.0e-6 and abs(shift) < 1.0e-6:
             return False
         for j in range(q.shape[0]):

@@ -57,7 +57,7 @@ def cluster_points(packed: PackedHand, *, size: int = POINTS_PER_CLUSTER) -> tup
 
 
 @njit(cache=True, error_model="numpy")
-def least_distance(values, origin, inv_spacing, x, y, z):
+def least_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """`grid_distance`, but never more than the true distance where the point lies outside the grid.
 
     The grid's own value there is the distance to the grid's box plus the one stored at its boundary. The object lies
@@ -80,7 +80,7 @@ def least_distance(values, origin, inv_spacing, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def sphere_distance(values, origin, inv_spacing, packed, X, link):
+def sphere_distance(values, origin, inv_spacing, packed, X, link):  # type: ignore[no-untyped-def]
     """Lower bound of a link's distance to the object, from the link's bounding sphere; X (3, 4) link in object."""
     c = packed.link_centre[link]
     x = X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3]
@@ -90,7 +90,7 @@ def sphere_distance(values, origin, inv_spacing, packed, X, link):
 
 
 @njit(cache=True, error_model="numpy")
-def link_distance(values, origin, inv_spacing, packed, clusters, X, link, limit):
+def link_distance(values, origin, inv_spacing, packed, clusters, X, link, limit):  # type: ignore[no-untyped-def]
     """Smallest signed distance of a link's surface points to the object; `limit` when that is nearer."""
     first, last = clusters.of_link[link], clusters.of_link[link + 1]
     best = limit
@@ -115,7 +115,7 @@ def link_distance(values, origin, inv_spacing, packed, clusters, X, link, limit)
 
 
 @njit(cache=True, error_model="numpy")
-def hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH, X_HL):
+def hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH, X_HL):  # type: ignore[no-untyped-def]
     """Smallest signed distance, metres, of the hand's surface points to the object."""
     X = np.empty((3, 4))
     best = 1.0e9

@@ -17,6 +17,14 @@ from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.candidates import GraspProblem
 from neuralgrasps.synthesis.clusters import hand_clearance
+from neuralgrasps.synthesis.oppose import opposition, perpendicular, pose_on_pair, thumb_and_fingers
+
+START_GAP_M = 1.0e-3  # an open hand advances until it is this near
+BACK_OFF_M = 0.012
+MAX_SPAN_M = 0.15  # wider pairs are not looked for
+OPPOSED_SHARE = 0.7
+DRAWS = 4  # pairs drawn per proposal: many are too wide, and drawing costs a hundredth of closing
+MAX_ADVANCES = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,15 +33,6 @@ class Proposals:
 
     X_OH: np.ndarray
     q: np.ndarray
-
-
-def perpendicular(axes: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Unit vectors perpendicular to unit `axes` (N, 3), turned about them by `angle` (N,) rad."""
-    helper = np.where(np.abs(axes[:, :1]) < 0.7, np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 1.0, 0.0]]))
-    u = np.cross(axes, helper)
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
-    v = np.cross(axes, u)
-    return np.cos(angle)[:, None] * u + np.sin(angle)[:, None] * v
 
 
 def poses_from_palm(X_HP: np.ndarray, origin_O: np.ndarray, x_axis: np.ndarray, z_axis: np.ndarray) -> np.ndarray:
@@ -87,6 +86,28 @@ def jaw_aperture(hand: Hand) -> float:
     return float(travel * np.abs(hand.tree.coupling[:, 0]).sum())
 
 
+def _draw_pairs(
+    obj: ObjectModel, count: int, friction: float, max_width: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Surface points (count, 3), where rays from them leave the object (count, 3), and which are antipodal (count,).
+
+    Most rays lie somewhere in the inward friction cone, 30 % along the normal.
+    """
+    index = rng.integers(len(obj.points_O), size=count)
+    tilt = math.atan(friction) * np.sqrt(rng.random(count)) * (rng.random(count) < 0.7)
+    side = rng.random(count) * 2 * np.pi
+    inward = -obj.normals_O[index]
+    direction = np.cos(tilt)[:, None] * inward + np.sin(tilt)[:, None] * perpendicular(inward, side)
+    start = np.ascontiguousarray(obj.points_O[index])
+    exits, keep = np.zeros_like(start), np.zeros(count, np.bool_)
+    sdf = obj.sdf
+    _antipodal_pairs(
+        sdf.values, sdf.origin, sdf.inv_spacing, start, np.ascontiguousarray(direction), max_width,
+        math.cos(math.atan(friction)), exits, keep,
+    )  # fmt: skip
+    return start, exits, keep
+
+
 def propose_jaw(
     hand: Hand, obj: ObjectModel, *, count: int, friction: float, pad_depth_m: float, rng: np.random.Generator
 ) -> Proposals:
@@ -95,20 +116,11 @@ def propose_jaw(
     At most `count` come back (pairs that fail the cone or the aperture are dropped).
     Roll about the closing axis is uniform; the object's middle lies within `pad_depth_m` of the pads' middle.
     """
-    index = rng.integers(len(obj.points_O), size=count)
-    tilt = math.atan(friction) * np.sqrt(rng.random(count)) * (rng.random(count) < 0.7)
-    side, roll = rng.random(count) * 2 * np.pi, rng.random(count) * 2 * np.pi
+    start, exits, keep = _draw_pairs(obj, count, friction, jaw_aperture(hand) - 2.0e-3, rng)
+    roll = rng.random(count) * 2 * np.pi
     depth = rng.uniform(-1.0, 1.0, count) * pad_depth_m
-    inward = -obj.normals_O[index]
-    direction = np.cos(tilt)[:, None] * inward + np.sin(tilt)[:, None] * perpendicular(inward, side)
-    start = np.ascontiguousarray(obj.points_O[index])
-    exits, keep = np.zeros_like(start), np.zeros(count, np.bool_)
-    sdf = obj.sdf
-    _antipodal_pairs(
-        sdf.values, sdf.origin, sdf.inv_spacing, start, np.ascontiguousarray(direction),
-        jaw_aperture(hand) - 2.0e-3, math.cos(math.atan(friction)), exits, keep,
-    )  # fmt: skip
-    start, exits, direction, roll, depth = (a[keep] for a in (start, exits, direction, roll, depth))
+    start, exits, roll, depth = (a[keep] for a in (start, exits, roll, depth))
+    direction = (exits - start) / np.linalg.norm(exits - start, axis=1, keepdims=True)
     x_axis = direction
     z_axis = perpendicular(x_axis, roll)
     X_HP_pad = hand.X_HP.copy()
@@ -129,22 +141,49 @@ def draw_preshapes(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarr
 
 
 @njit(cache=True, error_model="numpy")
-def _advance_to_contact(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, approach, contact_m, max_travel, travel):
-    """Sphere-trace every open hand along its approach; `travel[i]` < 0 when it passes by the object."""
+def _advance_to_contact(
+    values, origin, inv_spacing, packed, clusters, X_OH, X_HL, approach, contact_m, max_travel, touching, travel
+):
+    """Sphere-trace every open hand along its approach to first contact.
+
+    A hand that comes to `max_travel` free of contact stops there, or, where it was to touch, gets travel -1.
+    """
     for i in range(X_OH.shape[0]):
         gone = 0.0
         X = X_OH[i].copy()
-        for _ in range(60):
+        d = 0.0
+        for _ in range(MAX_ADVANCES):
             d = hand_clearance(values, origin, inv_spacing, packed, clusters, X, X_HL[i])
-            if d < contact_m or gone > max_travel:
+            if d < contact_m or gone >= max_travel:
                 break
-            gone += d - 0.5 * contact_m
+            gone = min(gone + d - 0.5 * contact_m, max_travel)
             for k in range(3):
                 X[k, 3] = X_OH[i, k, 3] + gone * approach[i, k]
-        travel[i] = gone if d < contact_m and gone > 0.0 else -1.0
+        touches = d < contact_m and gone > 0.0
+        travel[i] = gone if touches or (not touching and gone >= max_travel) else -1.0
 
 
-def propose_dexterous(problem: GraspProblem, *, count: int, rng: np.random.Generator) -> Proposals:
+def _reach(hand: Hand, obj: ObjectModel) -> float:
+    """From where a hand's base clears the object in any direction, metres."""
+    low, high = obj.mesh.bounds
+    X_HL = forward_fast(hand.tree, hand.q_open)
+    size = np.linalg.norm(X_HL[:, :3, 3] - hand.X_HP[:3, 3], axis=1).max()
+    return float(np.linalg.norm(high - low) + size + 0.15)
+
+
+def _advance(
+    problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, approach: np.ndarray, reach: float, *, touching: bool
+) -> np.ndarray:
+    """Travel (N,) of hands that start at `X_OH`; see `_advance_to_contact`."""
+    travel = np.empty(len(q))
+    _advance_to_contact(
+        *problem.sdf_arrays, problem.packed, problem.clusters, X_OH, forward_fast(problem.hand.tree, q),
+        np.ascontiguousarray(approach), START_GAP_M, reach, touching, travel,
+    )  # fmt: skip
+    return travel
+
+
+def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Generator) -> Proposals:
     """Approach a random surface point along its normal (sd 0.35), random roll and preshape, up to first contact.
 
     70 % of the hands then back off by |N(0, 12 mm)|; the rest stay with the palm or a finger touching.
@@ -154,17 +193,51 @@ def propose_dexterous(problem: GraspProblem, *, count: int, rng: np.random.Gener
     approach = -obj.normals_O[index] + 0.35 * rng.standard_normal((count, 3))
     approach /= np.linalg.norm(approach, axis=1, keepdims=True)
     roll = rng.random(count) * 2 * np.pi
-    back = np.abs(rng.normal(0.0, 0.012, count)) * (rng.random(count) < 0.7)
+    back = np.abs(rng.normal(0.0, BACK_OFF_M, count)) * (rng.random(count) < 0.7)
     q = draw_preshapes(hand, count, rng)
-    reach = float(np.linalg.norm(obj.points_O - obj.points_O.mean(0), axis=1).max() * 2 + 0.3)
-    start = obj.points_O[index] - reach * approach
-    X_OH = poses_from_palm(hand.X_HP, start, perpendicular(approach, roll), approach)
-    travel = np.empty(count)
-    sdf = obj.sdf
-    _advance_to_contact(
-        sdf.values, sdf.origin, sdf.inv_spacing, problem.packed, problem.clusters, X_OH, forward_fast(hand.tree, q),
-        approach, 1.0e-3, reach + 0.05, travel,
-    )  # fmt: skip
+    reach = _reach(hand, obj)
+    X_OH = poses_from_palm(hand.X_HP, obj.points_O[index] - reach * approach, perpendicular(approach, roll), approach)
+    travel = _advance(problem, X_OH, q, approach, reach + 0.05, touching=True)
     hit = travel > 0.0
     X_OH[:, :3, 3] += (travel - back)[:, None] * approach
     return Proposals(X_OH=X_OH[hit], q=q[hit])
+
+
+def propose_opposed(problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator) -> Proposals:
+    """Thumb and fingers on the two sides of an antipodal pair, reached along the palm's normal up to first contact.
+
+    Pairs that fail the friction cone, and those that do not fit between the tips of their preshape, are dropped;
+    `DRAWS` are made per proposal, and fewer than `count` may come back. The hand needs a thumb.
+    """
+    hand = problem.hand
+    found = thumb_and_fingers(hand)
+    assert found is not None
+    draws = DRAWS * count
+    start, exits, keep = _draw_pairs(problem.obj, draws, friction, MAX_SPAN_M, rng)
+    roll = rng.random(draws) * 2 * np.pi
+    back = np.abs(rng.normal(0.0, BACK_OFF_M, draws)) * (rng.random(draws) < 0.3)
+    share = rng.dirichlet(np.ones(len(found[1])), draws)
+    q = draw_preshapes(hand, draws, rng)
+    kept = np.flatnonzero(keep)[: 2 * count]
+    start, exits, roll, back, share, q = (a[kept] for a in (start, exits, roll, back, share, q))
+    thumb_H, fingers_H, met = opposition(hand, problem.packed, q, share, np.linalg.norm(exits - start, axis=1))
+    X_OH = pose_on_pair(thumb_H, fingers_H, start, exits, roll)
+    chosen = np.flatnonzero(met)[:count]
+    X_OH, q, back = X_OH[chosen], q[chosen], back[chosen]
+    approach = X_OH[:, :3, :3] @ hand.X_HP[:3, 2]
+    reach = _reach(hand, problem.obj)
+    X_OH[:, :3, 3] -= reach * approach
+    travel = _advance(problem, X_OH, q, approach, reach, touching=False)
+    hit = travel > 0.0
+    X_OH[:, :3, 3] += (travel - back)[:, None] * approach
+    return Proposals(X_OH=X_OH[hit], q=q[hit])
+
+
+def propose_dexterous(problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator) -> Proposals:
+    """`propose_opposed` for most of `count` where the hand has a thumb, `propose_approach` for the rest."""
+    opposed = round(OPPOSED_SHARE * count) if thumb_and_fingers(problem.hand) else 0
+    plain = propose_approach(problem, count=count - opposed, rng=rng)
+    if opposed == 0:
+        return plain
+    paired = propose_opposed(problem, count=opposed, friction=friction, rng=rng)
+    return Proposals(X_OH=np.concatenate([plain.X_OH, paired.X_OH]), q=np.concatenate([plain.q, paired.q]))

@@ -9,6 +9,7 @@ from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.jacobian import point_jacobian
 from neuralgrasps.kinematics.tree import PRISMATIC
+from neuralgrasps.synthesis.candidates import CONE_EDGES, GraspProblem
 
 EFFORT_SHARE = 0.9  # of the torque limit that the squeeze may use
 CLOSING_BIAS_RAD = 0.05  # every closing joint of a dexterous hand aims this much further
@@ -24,7 +25,7 @@ def joint_scale(hand: Hand, revolute: float, prismatic: float) -> np.ndarray:
 
 
 def pregrasp_joints(hand: Hand, q: np.ndarray) -> np.ndarray:
-    """(N, J) postures a little more open than `q`, within the limits; the object is free of them."""
+    """(N, J) postures a little more open than `q`, within the limits."""
     back = joint_scale(hand, PREGRASP_RAD, PREGRASP_JAW_M)
     opened = q - np.sign(hand.closing_rate) * back * np.abs(hand.closing_rate) / np.abs(hand.closing_rate).max()
     return np.clip(opened, hand.tree.lower, hand.tree.upper)
@@ -64,32 +65,33 @@ def contact_torques(
 
 
 def squeeze_joints(
-    hand: Hand,
+    problem: GraspProblem,
     q: np.ndarray,
     X_OH: np.ndarray,
     X_HL: np.ndarray,
     contacts: tuple[np.ndarray, np.ndarray, np.ndarray],
-    com_O: np.ndarray,
     *,
-    friction: float,
     stiffness: np.ndarray,
 ) -> np.ndarray:
     """Position targets (J,) whose servo torques press on the object without pushing it away.
 
-    Contact forces of least net wrench come from a quadratic programme over the friction cones; their joint
-    torques are scaled until one reaches `EFFORT_SHARE` of its limit; target = q + torque / stiffness.
+    Contact forces of least net wrench come from a quadratic programme over the friction cones; their joint torques are
+    scaled until one reaches `EFFORT_SHARE` of its limit; target = q + torque / stiffness, and closing joints
+    aim `CLOSING_BIAS_RAD` further. A jaw's target lies `JAW_SQUEEZE_M` past contact.
 
     Args:
-        hand: the hand; q: (J,) closed posture; X_OH (4, 4); X_HL (L, 4, 4) link poses at q.
-        contacts: points (C, 3) and outward normals (C, 3) in O, links (C,), without padding.
-        com_O: (3,) centre of mass.
-        friction: Coulomb coefficient.
+        problem: the pair.
+        q: (J,) closed posture; X_OH (4, 4); X_HL (L, 4, 4) link poses at q.
+        contacts: points (C, 3) and outward normals (C, 3) in O, links (C,), without padding; C >= 1.
         stiffness: (J,) servo gain, N m/rad or N/m.
     """
+    hand = problem.hand
     if hand.is_jaw:
         return q + np.sign(hand.closing_rate) * JAW_SQUEEZE_M
     points, normals, links = contacts
-    balance = contact_forces(points, normals, com_O, friction)
+    balance = contact_forces(
+        points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
+    )
     torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links)
     share = np.abs(torque / hand.tree.effort).max()
     target = q + torque / max(share, 1e-9) * EFFORT_SHARE / stiffness

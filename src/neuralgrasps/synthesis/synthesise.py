@@ -9,20 +9,13 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.grasps.contact import find_contacts
-from neuralgrasps.grasps.epsilon import epsilon
-from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate, empty_grasps
-from neuralgrasps.grasps.penetration import penetration_depths
-from neuralgrasps.grasps.wrench_space import grasp_wrenches
+from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_rng
 from neuralgrasps.sim.grasp_trial import validate_grasps
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import (
-    CONE_EDGES,
-    CONTACTS_PER_LINK,
     OUTCOMES,
     VALID,
     Candidates,
@@ -31,9 +24,9 @@ from neuralgrasps.synthesis.candidates import (
     make_problem,
     refine,
 )
+from neuralgrasps.synthesis.finish import finish_grasps
 from neuralgrasps.synthesis.propose import Proposals, jaw_aperture, propose_dexterous, propose_jaw
 from neuralgrasps.synthesis.select import diverse_order
-from neuralgrasps.synthesis.squeeze import joint_scale, pregrasp_joints, squeeze_joints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,14 +45,14 @@ class SynthesisConfig:
     """
 
     count: int = 60
-    batch: int = 4096
+    batch: int = 2048
     max_rounds: int = 12
     protocol: str = "dexgraspbench"
     friction: float = 0.6
     torsion_m: float = 0.02
     max_penetration_m: float = 1.0e-3
     contact_threshold_m: float = 2.5e-3
-    niches: int = 180
+    niches: int = 120
     generations: int = 3
     children: int = 8
     pad_depth_m: float = 0.012
@@ -68,6 +61,10 @@ class SynthesisConfig:
         for name in ("count", "batch", "max_rounds", "niches", "children"):
             if getattr(self, name) < 1:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; expected at least 1.")
+        for name in ("contact_threshold_m", "max_penetration_m", "generations", "torsion_m", "pad_depth_m"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"synthesis: {name} is {getattr(self, name)}; expected 0 or more.")
+        get_protocol(self.protocol)
         if not 0 < self.friction < 5:
             raise InputError(f"synthesis: friction is {self.friction}; expected a Coulomb coefficient in (0, 5).")
 
@@ -138,6 +135,7 @@ def synthesise(
         hand, obj, friction=config.friction, torsion=config.torsion_m,
         contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
     )  # fmt: skip
+    provenance = {name: str(value) for name, value in asdict(config).items()}
     watch = _Stopwatch()
     kept: list[GraspSet] = []
     outcomes = np.zeros(len(OUTCOMES), np.int64)
@@ -154,7 +152,7 @@ def synthesise(
         refined = _refine_diverse(problem, closed.take(closed.outcome == VALID), config, rng)
         watch.add("refine", start)
         start = time.process_time()
-        grasps = finish_grasps(problem, refined, config=config, seed=seed)
+        grasps = finish_grasps(problem, refined, protocol=config.protocol, seed=seed, config=provenance)
         watch.add("check", start)
         start = time.process_time()
         good, used = _prove(hand, obj, grasps, config, wanted=config.count - held)
@@ -185,7 +183,7 @@ def _propose(problem: GraspProblem, config: SynthesisConfig, rng: np.random.Gene
             problem.hand, problem.obj, count=config.batch, friction=config.friction,
             pad_depth_m=config.pad_depth_m, rng=rng,
         )  # fmt: skip
-    return propose_dexterous(problem, count=config.batch, rng=rng)
+    return propose_dexterous(problem, count=config.batch, friction=config.friction, rng=rng)
 
 
 def _refine_diverse(
@@ -198,57 +196,6 @@ def _refine_diverse(
     niches = best.take(diverse_order(problem.hand, best.X_OH, best.q, start=0, count=config.niches))
     refined = refine(problem, niches, generations=config.generations, children=config.children, rng=rng)
     return refined.take(diverse_order(problem.hand, refined.X_OH, refined.q, start=int(refined.epsilon.argmax())))
-
-
-def finish_grasps(fine: GraspProblem, closed: Candidates, *, config: SynthesisConfig, seed: int) -> GraspSet:
-    """Candidates with contacts, squeeze and pre-grasp; those that overlap too deeply at 4 mm spacing are dropped."""
-    hand, obj = fine.hand, fine.obj
-    depths = penetration_depths(fine.packed, obj.sdf, obj.points_O, X_OH=closed.X_OH, q=closed.q)
-    depth = depths.deepest
-    closed, depth = closed.take(depth <= config.max_penetration_m), depth[depth <= config.max_penetration_m]
-    if len(closed) == 0:
-        return empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
-    count, room = len(closed), hand.tree.num_links * CONTACTS_PER_LINK
-    points = np.full((count, room, 3), np.nan)
-    normals = np.full((count, room, 3), np.nan)
-    links = np.full((count, room), -1, np.int32)
-    squeeze, quality = np.empty_like(closed.q), np.empty(count)
-    protocol = get_protocol(config.protocol)
-    stiffness = joint_scale(hand, protocol.revolute.kp, protocol.prismatic.kp)
-    X_HL = forward_fast(hand.tree, closed.q)
-    for i in range(count):
-        found = find_contacts(
-            *fine.sdf_arrays, fine.packed, closed.X_OH[i], X_HL[i], config.contact_threshold_m, CONTACTS_PER_LINK,
-            points[i], normals[i], links[i],
-        )  # fmt: skip
-        points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
-        wrenches = grasp_wrenches(
-            points[i, :found], normals[i, :found], obj.com_O, config.friction, CONE_EDGES, config.torsion_m, fine.length
-        )
-        quality[i] = epsilon(wrenches)
-        squeeze[i] = squeeze_joints(
-            hand, closed.q[i], closed.X_OH[i], X_HL[i],
-            (points[i, :found], normals[i, :found], links[i, :found]), obj.com_O,
-            friction=config.friction, stiffness=stiffness,
-        )  # fmt: skip
-    used = int((links >= 0).sum(axis=1).max())
-    grasps = GraspSet(
-        hand=hand.name,
-        object=obj.name,
-        X_OH=closed.X_OH,
-        q=closed.q,
-        q_pregrasp=pregrasp_joints(hand, closed.q),
-        q_squeeze=squeeze,
-        contact_points_O=points[:, :used],
-        contact_normals_O=normals[:, :used],
-        contact_links=links[:, :used],
-        epsilon=quality,
-        penetration_m=depth,
-        protocol=config.protocol,
-        seed=seed,
-        config={name: str(value) for name, value in asdict(config).items()},
-    )
-    return grasps[quality > 0.0]
 
 
 def _prove(
@@ -272,12 +219,14 @@ def _in_diverse_order(hand: Hand, grasps: GraspSet) -> GraspSet:
 def _reason(problem: GraspProblem, outcomes: np.ndarray, held: int, tried: int, config: SynthesisConfig) -> str:
     """One plain sentence on why fewer grasps than wanted were found."""
     total = int(outcomes.sum())
+    size = " x ".join(f"{s * 1e3:.0f}" for s in np.sort(problem.obj.mesh.extents))
     if total == 0 and problem.hand.is_jaw:
-        size = np.sort(problem.obj.mesh.extents)
         return (
-            f"no two opposite surface points fit the aperture of {jaw_aperture(problem.hand) * 1e3:.0f} mm within friction "
-            f"{config.friction:g}; the object measures {' x '.join(f'{s * 1e3:.0f}' for s in size)} mm"
+            f"no two opposite surface points fit the aperture of {jaw_aperture(problem.hand) * 1e3:.0f} mm within "
+            f"friction {config.friction:g}; the object measures {size} mm"
         )
+    if total == 0:
+        return f"no open hand comes near the object, which measures {size} mm"
     if outcomes[VALID] == 0:
         worst = int(outcomes[:VALID].argmax())
         return f"none of {total} closed hands is a valid grasp; most fail because: {OUTCOMES[worst]}"
