@@ -39,12 +39,21 @@ def test_agrees_with_the_plain_reference(mesh: Mesh) -> None:
 def test_open_and_overlapping_surfaces_agree_with_the_plain_reference() -> None:
     ball = sphere_mesh(0.05)
     opened = Mesh(ball.vertices, ball.faces[6:])
-    two = merge_meshes([ball, Mesh(ball.vertices + [0.06, 0, 0], ball.faces)])
+    two = merge_meshes([ball, Mesh(ball.vertices + np.array([0.06, 0, 0]), ball.faces)])
     for mesh in (opened, two):
         points = cloud(mesh, 1500)
         ours, reference = tree_distance(build_tree(mesh), mesh, points), signed_distance(mesh, points)
         assert np.allclose(np.abs(ours), np.abs(reference), rtol=0, atol=1e-12)
         assert (np.sign(ours) == np.sign(reference)).mean() > 0.998  # beside the hole a sign is a matter of taste
+
+
+def test_above_a_box_without_a_lid_is_outside() -> None:
+    """The nearest feature is the rim, whose normals point sideways: they would say inside at any height."""
+    box = box_mesh([0.05, 0.05, 0.05])
+    bare = Mesh(box.vertices, box.faces[(box.vertices[box.faces, 2] < 0.05).any(axis=1)])
+    points = np.array([[0, 0, 0.1], [0.01, 0.02, 0.06], [0, 0, 0.02], [0.01, 0, -0.04], [0, 0, -0.06]])
+    assert len(bare.faces) == 10
+    assert np.sign(tree_distance(build_tree(bare), bare, points)).tolist() == [1, 1, -1, -1, 1]
 
 
 def test_the_order_of_points_does_not_matter() -> None:
