@@ -38,3 +38,23 @@ def test_stopped_work_says_what_was_kept(number: int, code: int, home: Path, tmp
     assert process.returncode == code, err
     assert f"Finished pairs are kept in '{folder}'" in err and "Traceback" not in err and out == ""
     assert [p.name for p in folder.rglob("*")] == ["sources.json"]
+
+
+def test_a_stopped_demo_keeps_its_grasps(home: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    options = ("--objects", "gelatin_box", "--hands", "panda", "--count", "6", "--workers", "1", "--out", str(out))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "neuralgrasps", "demo", *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "NEURALGRASPS_HOME": str(home)},
+    )
+    wait_for(out / "grasps" / "gelatin_box" / "panda.safetensors")
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 130, err
+    assert f"Finished grasps are kept in '{out}'" in err and "Traceback" not in err
+    assert not (out / "report.html").exists()
+    assert [p for p in out.rglob(".*")] == []

@@ -54,7 +54,8 @@ def test_words_of_progress() -> None:
     assert numbers_text(0, 0, 0, 3.0, "grasps") == "0:03"
     assert numbers_text(12, 60, 0, 4.0, "grasps") == "12/60 grasps, 3.0/s, 0:16 left"
     assert numbers_text(8, 10, 6, 60.0, "pairs") == "8/10 pairs, 2.0/min, 1:00 left"  # six were there before
-    assert numbers_text(60, 60, 0, 4.0, "") == "60/60, 15.0/s"
+    assert numbers_text(60, 60, 0, 4.0, "") == "60/60, 0:04"
+    assert numbers_text(60, 0, 0, 4.0, "kB") == "60 kB, 15.0/s"
 
 
 def test_progress_outside_a_terminal_is_a_line_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:

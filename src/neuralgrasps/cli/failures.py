@@ -44,7 +44,8 @@ def describe(error: BaseException) -> Failure:
         return Failure(
             "out of memory. Use fewer workers (--workers 1) or smaller input, or close other programs.", FAILED
         )
-    what = f"{type(error).__name__}: {error}".strip().rstrip(":")
+    text = str(error).strip().splitlines()
+    what = f"{type(error).__name__}: {text[0]}" if text else type(error).__name__
     return Failure(
         f"unexpected failure ({what}). This is a fault of the program, not of your input; run again with --debug for "
         "details to report.",

@@ -143,10 +143,12 @@ def numbers_text(done: int, total: int, first: int, elapsed_s: float, unit: str)
     count = f"{done}/{total}" if total else f"{done}"
     words = [f"{count} {unit}".strip()]
     fresh = done - first
-    if fresh > 0 and elapsed_s > 0:
+    if total and done >= total:  # what follows reports nothing: no rate that sinks and sinks
+        words.append(clock(elapsed_s))
+    elif fresh > 0 and elapsed_s > 0:
         rate = fresh / elapsed_s
         words.append(f"{rate:.1f}/s" if rate >= 1 else f"{rate * 60:.1f}/min")
-        if total > done:
+        if total:
             words.append(f"{clock((total - done) / rate)} left")
     else:
         words.append(clock(elapsed_s))

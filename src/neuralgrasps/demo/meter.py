@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -25,9 +25,13 @@ class Stage:
 
 
 class Meter:
-    """Measures stages; use as a context manager, so that its sampling thread ends."""
+    """Measures stages; use as a context manager, so that its sampling thread ends.
 
-    def __init__(self) -> None:
+    `on_start` is called with the name of each stage as it begins.
+    """
+
+    def __init__(self, on_start: Callable[[str], None] | None = None) -> None:
+        self._on_start = on_start
         self.stages: list[Stage] = []
         self._peak = 0
         self._stop = threading.Event()
@@ -44,6 +48,8 @@ class Meter:
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Measure the body of the `with` statement. CPU time of workers counts once they have ended."""
+        if self._on_start is not None:
+            self._on_start(name)
         self._peak = _resident_bytes()
         wall, cpu = time.perf_counter(), _cpu_s()
         yield

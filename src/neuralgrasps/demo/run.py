@@ -113,7 +113,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
     config = config or DemoConfig()
     say = progress or (lambda *_: None)
     workers = config.workers or available_cpus()
-    with Meter() as meter:
+    with Meter(lambda stage: say(stage, 0, 0, "")) as meter:
         with meter.stage("hands and objects"):
             hands = {hand.name: hand for hand in map(load_hand, config.hands)}
             objects = _load_objects(object_sources(config), workers, say)
