@@ -117,47 +117,36 @@ def _node_positions(origin: NDArray[np.float64], spacing: float, index: NDArray[
 
 
 @njit(cache=True, inline="always", error_model="numpy")
+def _along_axis(x, origin, inv_spacing, nodes):  # type: ignore[no-untyped-def]
+    """(cell, place in it 0..1, how far x is outside the grid), in cells along one axis."""
+    u = (x - origin) * inv_spacing
+    clamped = min(max(u, 0.0), nodes - 1.0)
+    i = np.uint64(min(np.int64(clamped), nodes - 2))
+    return i, clamped - np.int64(i), u - clamped
+
+
+@njit(cache=True, inline="always", error_model="numpy")
 def grid_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """Trilinear signed distance at (x, y, z): metres, float64."""
-    nx, ny, nz = values.shape
-    u = (x - origin[0]) * inv_spacing
-    v = (y - origin[1]) * inv_spacing
-    w = (z - origin[2]) * inv_spacing
-    cu = min(max(u, 0.0), nx - 1.0)
-    cv = min(max(v, 0.0), ny - 1.0)
-    cw = min(max(w, 0.0), nz - 1.0)
-    i = np.uint64(min(np.int64(cu), nx - 2))
-    j = np.uint64(min(np.int64(cv), ny - 2))
-    k = np.uint64(min(np.int64(cw), nz - 2))
-    a = cu - np.int64(i)
-    b = cv - np.int64(j)
-    c = cw - np.int64(k)
+    i, a, du = _along_axis(x, origin[0], inv_spacing, values.shape[0])
+    j, b, dv = _along_axis(y, origin[1], inv_spacing, values.shape[1])
+    k, c, dw = _along_axis(z, origin[2], inv_spacing, values.shape[2])
     v00 = values[i, j, k] * (1.0 - c) + values[i, j, k + ONE] * c
     v01 = values[i, j + ONE, k] * (1.0 - c) + values[i, j + ONE, k + ONE] * c
     v10 = values[i + ONE, j, k] * (1.0 - c) + values[i + ONE, j, k + ONE] * c
     v11 = values[i + ONE, j + ONE, k] * (1.0 - c) + values[i + ONE, j + ONE, k + ONE] * c
     d = (v00 * (1.0 - b) + v01 * b) * (1.0 - a) + (v10 * (1.0 - b) + v11 * b) * a
-    if cu != u or cv != v or cw != w:
-        d += math.sqrt((u - cu) ** 2 + (v - cv) ** 2 + (w - cw) ** 2) / inv_spacing
+    if du != 0.0 or dv != 0.0 or dw != 0.0:
+        d += math.sqrt(du * du + dv * dv + dw * dw) / inv_spacing
     return d
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def grid_distance_gradient(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """(d, gx, gy, gz): `grid_distance` and its exact gradient, 1 / 1, not normalised (its length is about 1)."""
-    nx, ny, nz = values.shape
-    u = (x - origin[0]) * inv_spacing
-    v = (y - origin[1]) * inv_spacing
-    w = (z - origin[2]) * inv_spacing
-    cu = min(max(u, 0.0), nx - 1.0)
-    cv = min(max(v, 0.0), ny - 1.0)
-    cw = min(max(w, 0.0), nz - 1.0)
-    i = np.uint64(min(np.int64(cu), nx - 2))
-    j = np.uint64(min(np.int64(cv), ny - 2))
-    k = np.uint64(min(np.int64(cw), nz - 2))
-    a = cu - np.int64(i)
-    b = cv - np.int64(j)
-    c = cw - np.int64(k)
+    i, a, du = _along_axis(x, origin[0], inv_spacing, values.shape[0])
+    j, b, dv = _along_axis(y, origin[1], inv_spacing, values.shape[1])
+    k, c, dw = _along_axis(z, origin[2], inv_spacing, values.shape[2])
     v000 = np.float64(values[i, j, k])
     v001 = np.float64(values[i, j, k + ONE])
     v010 = np.float64(values[i, j + ONE, k])
@@ -178,13 +167,12 @@ def grid_distance_gradient(values, origin, inv_spacing, x, y, z):  # type: ignor
     dz0 = (v001 - v000) * (1.0 - b) + (v011 - v010) * b
     dz1 = (v101 - v100) * (1.0 - b) + (v111 - v110) * b
     gz = (dz0 * (1.0 - a) + dz1 * a) * inv_spacing
-    if cu != u or cv != v or cw != w:
-        du, dv, dw = u - cu, v - cv, w - cw
+    if du != 0.0 or dv != 0.0 or dw != 0.0:
         out = math.sqrt(du * du + dv * dv + dw * dw)
         d += out / inv_spacing
-        gx = du / out if cu != u else gx
-        gy = dv / out if cv != v else gy
-        gz = dw / out if cw != w else gz
+        gx = du / out if du != 0.0 else gx
+        gy = dv / out if dv != 0.0 else gy
+        gz = dw / out if dw != 0.0 else gz
     return d, gx, gy, gz
 
 

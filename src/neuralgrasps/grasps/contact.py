@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from neuralgrasps.geometry.pose_kernels import moved_point, rigid_product
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 
 THRESHOLD_M = 2.5e-3
@@ -17,10 +18,16 @@ MIN_SEPARATION_M = 1.0e-3  # nearer points of one link count as one contact
 @njit(cache=True, error_model="numpy")
 def link_pose_in_object(X_OH, X_HL, link, out):  # type: ignore[no-untyped-def]
     """out (3, 4) = X_OH @ X_HL[link], upper three rows."""
-    for r in range(3):
-        for c in range(4):
-            out[r, c] = X_OH[r, 0] * X_HL[link, 0, c] + X_OH[r, 1] * X_HL[link, 1, c] + X_OH[r, 2] * X_HL[link, 2, c]
-        out[r, 3] += X_OH[r, 3]
+    rigid_product(X_OH, X_HL[link], out)
+
+
+@njit(cache=True, error_model="numpy")
+def link_is_farther(values, origin, inv_spacing, packed, X_OL, link, reach):  # type: ignore[no-untyped-def]
+    """Whether no point of a link can be within `reach` of the object, by its bounding sphere; may miss some."""
+    c = packed.link_centre[link]
+    x, y, z = moved_point(X_OL, c[0], c[1], c[2])
+    # the grid's distance is off by less than a cell
+    return grid_distance(values, origin, inv_spacing, x, y, z) > packed.link_radius[link] + reach + 1.0 / inv_spacing
 
 
 @njit(cache=True, error_model="numpy")
@@ -29,9 +36,7 @@ def _touching_points(values, origin, inv_spacing, packed, X, link, threshold, po
     count, nearest, closest = 0, 0, np.inf
     for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
         p = packed.point_L[k]
-        x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-        y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-        z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+        x, y, z = moved_point(X, p[0], p[1], p[2])
         if grid_distance(values, origin, inv_spacing, x, y, z) > threshold:
             continue
         d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, x, y, z)
@@ -77,12 +82,7 @@ def find_contacts(  # type: ignore[no-untyped-def]
         if packed.link_point_start[link] == packed.link_point_start[link + 1]:
             continue
         link_pose_in_object(X_OH, X_HL, link, X)
-        c = packed.link_centre[link]
-        x = X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3]
-        y = X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3]
-        z = X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3]
-        reach = packed.link_radius[link] + threshold + 1.0 / inv_spacing
-        if grid_distance(sdf_values, origin, inv_spacing, x, y, z) > reach:
+        if link_is_farther(sdf_values, origin, inv_spacing, packed, X, link, threshold):
             continue
         count = _touching_points(sdf_values, origin, inv_spacing, packed, X, link, threshold, points, normals)
         for i in range(count):

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numba import njit
 
+from neuralgrasps.geometry.pose_kernels import moved_point, rigid_inverse, rigid_product
 from neuralgrasps.geometry.sdf_grid import SdfGrid, grid_distance
-from neuralgrasps.grasps.contact import link_pose_in_object
+from neuralgrasps.grasps.contact import link_is_farther, link_pose_in_object
 from neuralgrasps.kinematics.forward_kernels import link_poses
 
 if TYPE_CHECKING:
@@ -68,38 +69,13 @@ def hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH, X_HL): 
         if start == end:
             continue
         link_pose_in_object(X_OH, X_HL, link, X)
-        c = packed.link_centre[link]
-        x = X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3]
-        y = X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3]
-        z = X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3]
-        # the grid's distance is off by less than a cell
-        if grid_distance(sdf_values, origin, inv_spacing, x, y, z) > packed.link_radius[link] + 1.0 / inv_spacing:
+        if link_is_farther(sdf_values, origin, inv_spacing, packed, X, link, 0.0):
             continue
         for k in range(start, end):
             p = packed.point_L[k]
-            x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-            y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-            z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+            x, y, z = moved_point(X, p[0], p[1], p[2])
             deepest = max(deepest, -grid_distance(sdf_values, origin, inv_spacing, x, y, z))
     return deepest
-
-
-@njit(cache=True, error_model="numpy")
-def _rigid_product(A, B, out):  # type: ignore[no-untyped-def]
-    """out (3, 4) = A @ B, upper three rows of rigid transforms."""
-    for r in range(3):
-        for c in range(4):
-            out[r, c] = A[r, 0] * B[0, c] + A[r, 1] * B[1, c] + A[r, 2] * B[2, c]
-        out[r, 3] += A[r, 3]
-
-
-@njit(cache=True, error_model="numpy")
-def _rigid_inverse(A, out):  # type: ignore[no-untyped-def]
-    """out (3, 4) = inverse of a rigid transform A, upper three rows."""
-    for r in range(3):
-        for c in range(3):
-            out[r, c] = A[c, r]
-        out[r, 3] = -(A[0, r] * A[0, 3] + A[1, r] * A[1, 3] + A[2, r] * A[2, 3])
 
 
 @njit(cache=True, error_model="numpy")
@@ -113,20 +89,16 @@ def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_O
     for part in range(len(packed.part_kind)):
         link_pose_in_object(X_OH, X_HL, packed.part_link[part], X_OL)
         m, radius = packed.part_centre[part], packed.part_radius[part]
-        cx = X_OL[0, 0] * m[0] + X_OL[0, 1] * m[1] + X_OL[0, 2] * m[2] + X_OL[0, 3]
-        cy = X_OL[1, 0] * m[0] + X_OL[1, 1] * m[1] + X_OL[1, 2] * m[2] + X_OL[1, 3]
-        cz = X_OL[2, 0] * m[0] + X_OL[2, 1] * m[1] + X_OL[2, 2] * m[2] + X_OL[2, 3]
+        cx, cy, cz = moved_point(X_OL, m[0], m[1], m[2])
         if grid_distance(sdf_values, origin, inv_spacing, cx, cy, cz) > radius + 1.0 / inv_spacing:
             continue
-        _rigid_inverse(X_OL, X_LO)
-        _rigid_product(packed.part_X_PL[part], X_LO, X_PO)
+        rigid_inverse(X_OL, X_LO)
+        rigid_product(packed.part_X_PL[part], X_LO, X_PO)
         for i in range(len(points_O)):
             x, y, z = points_O[i, 0], points_O[i, 1], points_O[i, 2]
             if (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2 >= radius * radius:
                 continue
-            u = X_PO[0, 0] * x + X_PO[0, 1] * y + X_PO[0, 2] * z + X_PO[0, 3]
-            v = X_PO[1, 0] * x + X_PO[1, 1] * y + X_PO[1, 2] * z + X_PO[1, 3]
-            w = X_PO[2, 0] * x + X_PO[2, 1] * y + X_PO[2, 2] * z + X_PO[2, 3]
+            u, v, w = moved_point(X_PO, x, y, z)
             deepest = max(deepest, depth_in_part(packed, part, u, v, w))
     return deepest
 
@@ -135,15 +107,13 @@ def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_O
 def _link_points_in_part(packed, X_HL, link, part):  # type: ignore[no-untyped-def]
     """Largest depth of the surface points of `link` in a part of another link."""
     X_LH, X_PH, X_PA = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4))
-    _rigid_inverse(X_HL[packed.part_link[part]], X_LH)
-    _rigid_product(packed.part_X_PL[part], X_LH, X_PH)
-    _rigid_product(X_PH, X_HL[link], X_PA)
+    rigid_inverse(X_HL[packed.part_link[part]], X_LH)
+    rigid_product(packed.part_X_PL[part], X_LH, X_PH)
+    rigid_product(X_PH, X_HL[link], X_PA)
     deepest = 0.0
     for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
         p = packed.point_L[k]
-        x = X_PA[0, 0] * p[0] + X_PA[0, 1] * p[1] + X_PA[0, 2] * p[2] + X_PA[0, 3]
-        y = X_PA[1, 0] * p[0] + X_PA[1, 1] * p[1] + X_PA[1, 2] * p[2] + X_PA[1, 3]
-        z = X_PA[2, 0] * p[0] + X_PA[2, 1] * p[1] + X_PA[2, 2] * p[2] + X_PA[2, 3]
+        x, y, z = moved_point(X_PA, p[0], p[1], p[2])
         deepest = max(deepest, depth_in_part(packed, part, x, y, z))
     return deepest
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.grasps.contact import MAX_PER_LINK, THRESHOLD_M, find_contacts, link_pose_in_object
 from neuralgrasps.grasps.epsilon import STARTS, epsilon
@@ -90,9 +91,7 @@ def link_distances(sdf_values, origin, inv_spacing, packed, X_OH, X_HL, out):  #
         link_pose_in_object(X_OH, X_HL, link, X)
         for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
             p = packed.point_L[k]
-            x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-            y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-            z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+            x, y, z = moved_point(X, p[0], p[1], p[2])
             out[link] = min(out[link], grid_distance(sdf_values, origin, inv_spacing, x, y, z))
 
 

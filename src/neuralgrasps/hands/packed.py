@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, DTypeLike
 
+from neuralgrasps.geometry.pose_kernels import moved_point
+from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.hands.chains import rigid_bodies
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.parts import bounding_sphere, hull_planes, part_distance
@@ -109,7 +111,7 @@ def _pack(hand: Hand, surface: HandSurface) -> PackedHand:
         link_radius=radius,
         part_kind=np.array([int(p.kind) for p in parts], np.int64),
         part_link=np.array([p.link for p in parts], np.int64),
-        part_X_PL=_as([_inverse(p.X_LP) for p in parts]),
+        part_X_PL=_as([inverse_np(p.X_LP) for p in parts]),
         part_size=_as([p.size for p in parts]),
         hull_plane_start=np.cumsum([0] + [len(h[0]) for h in hulls]),
         hull_planes=_as(np.concatenate([h[0] for h in hulls]).reshape(-1, 4)),
@@ -123,12 +125,6 @@ def _pack(hand: Hand, surface: HandSurface) -> PackedHand:
 
 def _as(values: ArrayLike, dtype: DTypeLike = np.float64) -> np.ndarray:
     return np.array(values, dtype=dtype, order="C")
-
-
-def _inverse(X: np.ndarray) -> np.ndarray:
-    inverse = np.eye(4)
-    inverse[:3, :3], inverse[:3, 3] = X[:3, :3].T, -X[:3, :3].T @ X[:3, 3]
-    return inverse
 
 
 def _link_spheres(points_L: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,9 +167,7 @@ def _overlap(packed, X_HL, a, b):  # type: ignore[no-untyped-def]
         X = X_HL[link]
         for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
             p = packed.point_L[k]
-            x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-            y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-            z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+            x, y, z = moved_point(X, p[0], p[1], p[2])
             for part in range(packed.part_link.shape[0]):
                 if packed.part_link[part] == other:
                     depth = max(depth, -part_distance_H(packed, X_HL, part, x, y, z))
@@ -188,13 +182,7 @@ def part_distance_H(packed, X_HL, part, x, y, z):  # type: ignore[no-untyped-def
     lx = X[0, 0] * dx + X[1, 0] * dy + X[2, 0] * dz
     ly = X[0, 1] * dx + X[1, 1] * dy + X[2, 1] * dz
     lz = X[0, 2] * dx + X[1, 2] * dy + X[2, 2] * dz
-    P = packed.part_X_PL[part]
-    px = P[0, 0] * lx + P[0, 1] * ly + P[0, 2] * lz + P[0, 3]
-    py = P[1, 0] * lx + P[1, 1] * ly + P[1, 2] * lz + P[1, 3]
-    pz = P[2, 0] * lx + P[2, 1] * ly + P[2, 2] * lz + P[2, 3]
-    planes = packed.hull_planes[packed.hull_plane_start[part] : packed.hull_plane_start[part + 1]]
-    triangles = packed.hull_triangles[packed.hull_tri_start[part] : packed.hull_tri_start[part + 1]]
-    return part_distance(packed.part_kind[part], packed.part_size[part], planes, triangles, px, py, pz)
+    return _distance_in_part(packed, packed.part_X_PL, part, lx, ly, lz)
 
 
 @njit(cache=True, error_model="numpy")
@@ -203,9 +191,8 @@ def nearest_part(packed, X_HL, x, y, z):  # type: ignore[no-untyped-def]
     best, found = math.inf, -1
     for part in range(packed.part_link.shape[0]):
         X, c = X_HL[packed.part_link[part]], packed.part_centre[part]
-        dx = x - (X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3])
-        dy = y - (X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3])
-        dz = z - (X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3])
+        cx, cy, cz = moved_point(X, c[0], c[1], c[2])
+        dx, dy, dz = x - cx, y - cy, z - cz
         reach = best + packed.part_radius[part]  # the part is no nearer than its sphere
         if reach <= 0.0 or dx * dx + dy * dy + dz * dz > reach * reach:
             continue
@@ -266,11 +253,9 @@ def _part_poses(packed, X_OH, X_HL):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _distance_in_part(packed, X_PO, part, x, y, z):  # type: ignore[no-untyped-def]
-    P = X_PO[part]
-    px = P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]
-    py = P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]
-    pz = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+def _distance_in_part(packed, X_PA, part, x, y, z):  # type: ignore[no-untyped-def]
+    """Signed distance from (x, y, z), in any frame A, to one part; X_PA (Np, 3 or 4, 4)."""
+    px, py, pz = moved_point(X_PA[part], x, y, z)
     planes = packed.hull_planes[packed.hull_plane_start[part] : packed.hull_plane_start[part + 1]]
     triangles = packed.hull_triangles[packed.hull_tri_start[part] : packed.hull_tri_start[part + 1]]
     return part_distance(packed.part_kind[part], packed.part_size[part], planes, triangles, px, py, pz)

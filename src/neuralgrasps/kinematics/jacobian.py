@@ -5,8 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from neuralgrasps.geometry.pose_kernels import turned_vector
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.tree import FIXED, REVOLUTE, KinematicTree
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _joint_motion(joint_type, axis, X_HL, point_H):  # type: ignore[no-untyped-def]
+    """Linear velocity (3) of a point and angular velocity (3), in H, per unit speed of the joint that moves a link."""
+    # the axis is unchanged by its own joint's motion, so the moved frame may be used
+    ax, ay, az = turned_vector(X_HL, axis[0], axis[1], axis[2])
+    if joint_type != REVOLUTE:
+        return ax, ay, az, 0.0, 0.0, 0.0
+    dx, dy, dz = point_H[0] - X_HL[0, 3], point_H[1] - X_HL[1, 3], point_H[2] - X_HL[2, 3]
+    return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx, ax, ay, az
 
 
 @njit(cache=True, fastmath=False, error_model="numpy")
@@ -24,15 +36,7 @@ def frame_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, ou
     i = link
     while i >= 0:
         if joint_types[i] != FIXED:
-            # the axis is unchanged by its own joint's motion, so the moved frame may be used
-            ax = X_HL[i, 0, 0] * axes[i, 0] + X_HL[i, 0, 1] * axes[i, 1] + X_HL[i, 0, 2] * axes[i, 2]
-            ay = X_HL[i, 1, 0] * axes[i, 0] + X_HL[i, 1, 1] * axes[i, 1] + X_HL[i, 1, 2] * axes[i, 2]
-            az = X_HL[i, 2, 0] * axes[i, 0] + X_HL[i, 2, 1] * axes[i, 1] + X_HL[i, 2, 2] * axes[i, 2]
-            vx, vy, vz, wx, wy, wz = ax, ay, az, 0.0, 0.0, 0.0
-            if joint_types[i] == REVOLUTE:
-                dx, dy, dz = point_H[0] - X_HL[i, 0, 3], point_H[1] - X_HL[i, 1, 3], point_H[2] - X_HL[i, 2, 3]
-                vx, vy, vz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
-                wx, wy, wz = ax, ay, az
+            vx, vy, vz, wx, wy, wz = _joint_motion(joint_types[i], axes[i], X_HL[i], point_H)
             for j in range(coupling.shape[1]):
                 c = coupling[i, j]
                 if c != 0.0:
@@ -52,12 +56,7 @@ def point_jacobian(parents, joint_types, axes, coupling, X_HL, link, point_H, ou
     i = link
     while i >= 0:
         if joint_types[i] != FIXED:
-            vx = X_HL[i, 0, 0] * axes[i, 0] + X_HL[i, 0, 1] * axes[i, 1] + X_HL[i, 0, 2] * axes[i, 2]
-            vy = X_HL[i, 1, 0] * axes[i, 0] + X_HL[i, 1, 1] * axes[i, 1] + X_HL[i, 1, 2] * axes[i, 2]
-            vz = X_HL[i, 2, 0] * axes[i, 0] + X_HL[i, 2, 1] * axes[i, 1] + X_HL[i, 2, 2] * axes[i, 2]
-            if joint_types[i] == REVOLUTE:
-                dx, dy, dz = point_H[0] - X_HL[i, 0, 3], point_H[1] - X_HL[i, 1, 3], point_H[2] - X_HL[i, 2, 3]
-                vx, vy, vz = vy * dz - vz * dy, vz * dx - vx * dz, vx * dy - vy * dx
+            vx, vy, vz, _, _, _ = _joint_motion(joint_types[i], axes[i], X_HL[i], point_H)
             for j in range(coupling.shape[1]):
                 c = coupling[i, j]
                 if c != 0.0:

@@ -14,6 +14,7 @@ from scipy import ndimage
 
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.geometry.pose_kernels import moved_point, turned_vector
 from neuralgrasps.geometry.rotation import super_fibonacci_rotations
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
@@ -203,7 +204,7 @@ def _slide(values, origin, inv_spacing, points, X_OC):  # type: ignore[no-untype
         H = np.zeros((3, 3))
         b = np.zeros(3)
         for m in range(points.shape[0]):
-            x, y, z = _moved(X_OC[n], points[m])
+            x, y, z = moved_point(X_OC[n], points[m, 0], points[m, 1], points[m, 2])
             d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, x, y, z)
             if abs(d) > 0.05:
                 continue
@@ -219,22 +220,13 @@ def _slide(values, origin, inv_spacing, points, X_OC):  # type: ignore[no-untype
             X_OC[n, r, 3] += step[r]
 
 
-@njit(cache=True, inline="always", error_model="numpy")
-def _moved(X, p):  # type: ignore[no-untyped-def]
-    return (
-        X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3],
-        X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3],
-        X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3],
-    )
-
-
 @njit(cache=True, error_model="numpy")
 def _scores(values, origin, inv_spacing, points, X_OC, clip):  # type: ignore[no-untyped-def]
     """(N,) mean distance of the points to the surface, each clipped."""
     out = np.zeros(X_OC.shape[0])
     for n in range(X_OC.shape[0]):
         for m in range(points.shape[0]):
-            x, y, z = _moved(X_OC[n], points[m])
+            x, y, z = moved_point(X_OC[n], points[m, 0], points[m, 1], points[m, 2])
             out[n] += min(abs(grid_distance(values, origin, inv_spacing, x, y, z)), clip)
         out[n] /= points.shape[0]
     return out
@@ -250,7 +242,7 @@ def _normal_equations(values, origin, inv_spacing, points, X_OC, centre_O, kerne
         b[n] = 0.0
         cost[n] = 0.0
         for m in range(points.shape[0]):
-            x, y, z = _moved(X_OC[n], points[m])
+            x, y, z = moved_point(X_OC[n], points[m, 0], points[m, 1], points[m, 2])
             d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, x, y, z)
             cost[n] += k2 * d * d / (d * d + k2)
             weight = (k2 / (d * d + k2)) ** 2
@@ -348,10 +340,8 @@ def _free_space(points, normals, X_CO, depth, fx, fy, cx, cy, margin, clip, out)
         total = 0.0
         facing = 0
         for m in range(points.shape[0]):
-            x, y, z = _moved(X_CO[n], points[m])
-            nx = X_CO[n, 0, 0] * normals[m, 0] + X_CO[n, 0, 1] * normals[m, 1] + X_CO[n, 0, 2] * normals[m, 2]
-            ny = X_CO[n, 1, 0] * normals[m, 0] + X_CO[n, 1, 1] * normals[m, 1] + X_CO[n, 1, 2] * normals[m, 2]
-            nz = X_CO[n, 2, 0] * normals[m, 0] + X_CO[n, 2, 1] * normals[m, 1] + X_CO[n, 2, 2] * normals[m, 2]
+            x, y, z = moved_point(X_CO[n], points[m, 0], points[m, 1], points[m, 2])
+            nx, ny, nz = turned_vector(X_CO[n], normals[m, 0], normals[m, 1], normals[m, 2])
             if z <= 1.0e-3 or nx * x + ny * y + nz * z >= 0.0:
                 continue
             facing += 1
