@@ -156,7 +156,7 @@ def _tasks(
 def _write_object(folder: Path, model: ObjectModel, frame: Normalisation) -> ObjectEntry:
     """Store what a reader needs of an object, so that a dataset can be read without its assets."""
     name = f"objects/{model.name}.safetensors"
-    arrays = {
+    arrays: dict[str, np.ndarray] = {
         "points_O": np.ascontiguousarray(model.points_O, np.float64),
         "normals_O": np.ascontiguousarray(model.normals_O, np.float64),
         "vertices_O": np.ascontiguousarray(model.mesh.vertices, np.float64),

@@ -49,9 +49,9 @@ def verify_dataset(dataset: GraspDataset, *, spot_checks: int = 200, seed: int =
     errors = [0.0]
     files = scenes = 0
     damaged: set[str] = set()
-    for name, entry in sorted(dataset.manifest.objects.items()):
+    for name, stored in sorted(dataset.manifest.objects.items()):
         files += 1
-        found = _file_problems(dataset, entry.file, entry.sha256, f"object {name}")
+        found = _file_problems(dataset, stored.file, stored.sha256, f"object {name}")
         problems += found
         damaged |= {name} if found else set()
     for entry in dataset.manifest.shards:
@@ -97,7 +97,8 @@ def _shard_problems(dataset: GraspDataset, entry: ShardEntry) -> Iterator[str]:
     if count != entry.scenes:
         yield f"{entry.grasps_file}: holds {count} grasps; the manifest says {entry.scenes}"
     queries = dataset.manifest.config.queries_per_scene
-    expected = {"contact_map": (entry.scenes, dataset.manifest.objects[entry.object].contact_points)}
+    points = dataset.manifest.objects[entry.object].contact_points
+    expected: dict[str, tuple[int, ...]] = {"contact_map": (entry.scenes, points)}
     if dataset.manifest.config.store_samples:
         expected |= {"points_O": (entry.scenes, queries, 3), "hand_index": (entry.scenes,)}
         expected |= {"sdf_object": (entry.scenes, queries), "sdf_hand": (entry.scenes, queries)}

@@ -9,16 +9,18 @@ import numpy as np
 import torch
 
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
-from neuralgrasps.dataset.mesh_tree import build_tree, tree_distance
 from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.dataset.samples import hand_distances
+from neuralgrasps.geometry.mesh_tree import build_tree, tree_distance
 from neuralgrasps.geometry.sampling import sample_surface
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.model.codes import CodeBook
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.reconstruct import (
     QUERIES,
     PublishedChamfer,
+    SignedDistance,
     SurfaceErrors,
     hand_surface_distances,
     published_chamfer,
@@ -90,11 +92,10 @@ def reconstruct_hands(
     scores: list[PublishedChamfer] = []
     for i in range(len(book)):
         rng = np.random.default_rng(child_seed(seed, "true surface", hand, object_name, i))
-        given, true = (X_OH[i : i + 1], q[i : i + 1]), (grasps.X_OH[i : i + 1], grasps.q[i : i + 1])
         scores.append(
             published_chamfer(
-                lambda p, pose=given: hand_distances(packed, *pose, p)[0],
-                lambda p, pose=true: hand_distances(packed, *pose, p)[0],
+                posed_distance(packed, X_OH[i], q[i]),
+                posed_distance(packed, grasps.X_OH[i], grasps.q[i]),
                 sample_posed_surface(packed, grasps.X_OH[i], grasps.q[i], SURFACE_POINTS, rng),
                 normalisation=frame,
                 seed=child_seed(seed, "queries", hand, object_name, i),
@@ -109,6 +110,11 @@ def reconstruct_hands(
         oracle=float(np.mean([s.oracle for s in scores])),
         grasps=len(book),
     )
+
+
+def posed_distance(packed: PackedHand, X_OH: np.ndarray, q: np.ndarray) -> SignedDistance:
+    """The exact signed distance to one posed hand, X_OH (4, 4) and q (J,), as a function of points."""
+    return lambda points_O: hand_distances(packed, X_OH[None], q[None], points_O)[0]
 
 
 def reconstruct_object(

@@ -100,7 +100,8 @@ def reconstruction_table(
 ) -> Table:
     """Per object and hand: the published measure (x 1e-3), its oracle, the published figure, and errors in mm."""
     rows = []
-    for score in (*objects, *hands):
+    scores: list[ObjectReconstruction | HandReconstruction] = [*objects, *hands]
+    for score in scores:
         who = score.hand if isinstance(score, HandReconstruction) else "object"
         published = PUBLISHED_CHAMFER.get(score.object, {}).get(who)
         rows.append(

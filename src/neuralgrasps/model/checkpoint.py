@@ -7,6 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -47,8 +48,8 @@ def save_run(folder: str | Path, result: TrainResult) -> Path:
     arrays: dict[str, np.ndarray] = {"losses": np.asarray(result.losses, np.float64)}
     for i, codec in enumerate(field.hand_codecs.values()):
         arrays |= {f"hand.{i}.{name}": np.ascontiguousarray(getattr(codec, name)) for name in _HAND_ARRAYS}
-    for i, codec in enumerate(field.object_codecs.values()):
-        arrays |= {f"object.{i}.{name}": np.ascontiguousarray(getattr(codec, name)) for name in _OBJECT_ARRAYS}
+    for i, shape in enumerate(field.object_codecs.values()):
+        arrays |= {f"object.{i}.{name}": np.ascontiguousarray(getattr(shape, name)) for name in _OBJECT_ARRAYS}
     if field.decoder is not None:
         arrays |= {f"decoder.{k}": v.detach().cpu().contiguous().numpy() for k, v in field.decoder.state_dict().items()}
     field_bytes = tensor_bytes(arrays)
@@ -113,7 +114,7 @@ def restored_config(run: Run) -> TrainConfig:
 
 
 def _field_of(
-    run: dict, arrays: Mapping[str, np.ndarray], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
+    run: dict[str, Any], arrays: Mapping[str, np.ndarray], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
 ) -> KinematicField:
     hand_codecs = {
         name: HandCodec(name=name, **{a: arrays[f"hand.{i}.{a}"] for a in _HAND_ARRAYS})
@@ -141,7 +142,7 @@ def _field_of(
     )
 
 
-def _read_json(path: Path) -> dict:
+def _read_json(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise DataFormatError(f"'{path.parent}' holds no fitted field: {path.name} is missing. Train first.")
     try:
@@ -154,7 +155,7 @@ def _read_json(path: Path) -> dict:
     return run
 
 
-def _read_arrays(folder: Path, name: str, run: dict) -> dict[str, np.ndarray]:
+def _read_arrays(folder: Path, name: str, run: dict[str, Any]) -> dict[str, np.ndarray]:
     path = folder / name
     if not path.is_file():
         raise DataFormatError(f"'{path}' is missing. Train again.")
