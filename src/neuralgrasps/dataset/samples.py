@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
-from neuralgrasps.dataset.mesh_tree import build_tree, tree_distance
 from neuralgrasps.dataset.schema import DatasetConfig
 from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.mesh_tree import build_tree, tree_distance
 from neuralgrasps.geometry.sampling import sample_surface
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
 from neuralgrasps.seeds import child_rng

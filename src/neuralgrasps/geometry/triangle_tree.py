@@ -27,7 +27,7 @@ def grid_unsigned_distance(mesh: Mesh, origin: FloatArray, spacing: float, sides
 
     Uses up to 4 threads; the result does not depend on their number.
     """
-    boxes, second_child, ranges, order = _build(mesh.triangles)
+    boxes, second_child, ranges, order = build_nodes(mesh.triangles, _LEAF_SIZE)
     triangles = np.ascontiguousarray(mesh.triangles[order])
     out = np.empty(sides)
     slabs = np.array_split(np.arange(sides[0]), min(sides[0], 16))
@@ -41,8 +41,13 @@ def grid_unsigned_distance(mesh: Mesh, origin: FloatArray, spacing: float, sides
 
 
 @njit(cache=True, error_model="numpy")
-def _build(triangles):  # type: ignore[no-untyped-def]
-    """Boxes (N, 6), second child (N,) or -1 for a leaf (the first is the next node), ranges (N, 2) into order (T,)."""
+def build_nodes(triangles, leaf_size):  # type: ignore[no-untyped-def]
+    """A box tree over triangles (T, 3, 3), nodes in depth-first order.
+
+    Returns:
+        boxes (N, 6) low and high corner; second child (N,), -1 for a leaf (the first child is the next node);
+        ranges (N, 2) into the order; order (T,) of the triangles.
+    """
     count = triangles.shape[0]
     centre = np.empty((count, 3))
     for t in range(count):
@@ -72,7 +77,7 @@ def _build(triangles):  # type: ignore[no-untyped-def]
                 for c in range(3):
                     boxes[node, a] = min(boxes[node, a], triangles[order[s], c, a])
                     boxes[node, 3 + a] = max(boxes[node, 3 + a], triangles[order[s], c, a])
-        if end - start <= _LEAF_SIZE:
+        if end - start <= leaf_size:
             continue
         axis = np.argmax(high - low)
         part = order[start:end].copy()
@@ -85,7 +90,7 @@ def _build(triangles):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _box_distance_squared(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
+def box_distance_squared(boxes, node, x, y, z):  # type: ignore[no-untyped-def]
     dx = max(boxes[node, 0] - x, x - boxes[node, 3], 0.0)
     dy = max(boxes[node, 1] - y, y - boxes[node, 4], 0.0)
     dz = max(boxes[node, 2] - z, z - boxes[node, 5], 0.0)
@@ -97,7 +102,7 @@ def _nearest(boxes, second_child, ranges, triangles, x, y, z, guess, nodes, boun
     """Nearest triangle and its squared distance, given any triangle as a first guess; nodes and bounds are scratch."""
     best = guess
     nearest = triangle_distance_squared(x, y, z, triangles, guess)
-    nodes[0], bounds[0] = 0, _box_distance_squared(boxes, 0, x, y, z)
+    nodes[0], bounds[0] = 0, box_distance_squared(boxes, 0, x, y, z)
     top = 1
     while top > 0:
         top -= 1
@@ -112,8 +117,8 @@ def _nearest(boxes, second_child, ranges, triangles, x, y, z, guess, nodes, boun
                     best = t
             continue
         one, two = node + 1, second_child[node]
-        d_one = _box_distance_squared(boxes, one, x, y, z)
-        d_two = _box_distance_squared(boxes, two, x, y, z)
+        d_one = box_distance_squared(boxes, one, x, y, z)
+        d_two = box_distance_squared(boxes, two, x, y, z)
         if d_one < d_two:
             one, two, d_one, d_two = two, one, d_two, d_one
         if d_one < nearest:

@@ -15,6 +15,7 @@ from numba import njit
 
 from neuralgrasps.geometry.mesh import Mesh, contains
 from neuralgrasps.geometry.mesh_topology import face_bodies
+from neuralgrasps.geometry.triangle_tree import box_distance_squared, build_nodes
 
 _LEAF = 2  # triangles
 _BITS = 7  # per axis, of the order in which points are taken
@@ -27,74 +28,26 @@ class MeshTree(NamedTuple):
     Attributes:
         corners (F, 3, 3): triangle corners.
         normals (F, 7, 3): of the face, its three edges (01, 12, 20) and its three corners; zero where not reliable.
-        low, high (N, 3): boxes; first, last (N,): triangles of a node; right (N,): its second child, 0 for a
-            leaf (the first child follows the node).
+        boxes (N, 6), second_child (N,), ranges (N, 2): nodes, see `triangle_tree.build_nodes`.
     """
 
     corners: np.ndarray
     normals: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    right: np.ndarray
+    boxes: np.ndarray
+    second_child: np.ndarray
+    ranges: np.ndarray
 
 
 def build_tree(mesh: Mesh) -> MeshTree:
     """The tree of a mesh."""
-    corners = mesh.vertices[mesh.faces]
-    order, nodes = _split(corners)
-    corners = np.ascontiguousarray(corners[order])
-    first, last, right = (np.array(column, np.int64) for column in zip(*nodes, strict=True))
-    low, high = np.empty((len(nodes), 3)), np.empty((len(nodes), 3))
-    _boxes(corners, first, last, right, low, high)
+    boxes, second_child, ranges, order = build_nodes(mesh.triangles, _LEAF)
     return MeshTree(
-        corners=corners,
+        corners=np.ascontiguousarray(mesh.triangles[order]),
         normals=np.ascontiguousarray(_normals(mesh)[order]),
-        low=low,
-        high=high,
-        first=first,
-        last=last,
-        right=right,
+        boxes=boxes,
+        second_child=second_child,
+        ranges=ranges,
     )
-
-
-@njit(cache=True, error_model="numpy")
-def _boxes(corners, first, last, right, low, high):  # type: ignore[no-untyped-def]
-    """Boxes (N, 3) of all nodes, children before parents."""
-    for node in range(first.shape[0] - 1, -1, -1):
-        for k in range(3):
-            if right[node]:
-                low[node, k] = min(low[node + 1, k], low[right[node], k])
-                high[node, k] = max(high[node + 1, k], high[right[node], k])
-                continue
-            a, b = math.inf, -math.inf
-            for f in range(first[node], last[node]):
-                for c in range(3):
-                    a, b = min(a, corners[f, c, k]), max(b, corners[f, c, k])
-            low[node, k], high[node, k] = a, b
-
-
-def _split(corners: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
-    """Triangle order, and nodes (first, last, right child or 0) in depth-first order."""
-    centres = corners.mean(axis=1)
-    order = np.arange(len(corners))
-    nodes: list[tuple[int, int, int]] = []
-    pending = [(0, len(corners), -1)]  # the parent to tell where its right child is
-    while pending:
-        a, b, parent = pending.pop()
-        if parent >= 0:
-            nodes[parent] = (*nodes[parent][:2], len(nodes))
-        nodes.append((a, b, 0))
-        if b - a <= _LEAF:
-            continue
-        own = centres[order[a:b]]
-        axis = int(np.argmax(np.ptp(own, axis=0)))
-        middle = (b - a) // 2
-        order[a:b] = order[a:b][np.argpartition(own[:, axis], middle)]
-        pending.append((a + middle, b, len(nodes) - 1))
-        pending.append((a, a + middle, -1))
-    return order, nodes
 
 
 def _normals(mesh: Mesh) -> np.ndarray:
@@ -183,14 +136,6 @@ def _closest_on_triangle(t, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _box_distance(tree, node, x, y, z):  # type: ignore[no-untyped-def]
-    dx = max(tree.low[node, 0] - x, x - tree.high[node, 0], 0.0)
-    dy = max(tree.low[node, 1] - y, y - tree.high[node, 1], 0.0)
-    dz = max(tree.low[node, 2] - z, z - tree.high[node, 2], 0.0)
-    return dx * dx + dy * dy + dz * dz
-
-
-@njit(cache=True, error_model="numpy")
 def _distances(tree, points, order, out, unsure):  # type: ignore[no-untyped-def]
     """Signed distances of points (M, 3) into `out`; where the sign is not known it is positive and `unsure` set.
 
@@ -210,15 +155,16 @@ def _distances(tree, points, order, out, unsure):  # type: ignore[no-untyped-def
             if reach[top] > best:
                 continue
             node = nodes[top]
-            other = tree.right[node]
-            if other == 0:
-                for f in range(tree.first[node], tree.last[node]):
+            other = tree.second_child[node]
+            if other < 0:
+                for f in range(tree.ranges[node, 0], tree.ranges[node, 1]):
                     d, feature, ox, oy, oz = _closest_on_triangle(tree.corners[f], x, y, z)
                     if d < best:
                         n = tree.normals[f, feature]
                         best, side, last = d, ox * n[0] + oy * n[1] + oz * n[2], f
                 continue
-            near, far = _box_distance(tree, node + 1, x, y, z), _box_distance(tree, other, x, y, z)
+            near = box_distance_squared(tree.boxes, node + 1, x, y, z)
+            far = box_distance_squared(tree.boxes, other, x, y, z)
             a, b = node + 1, other
             if far < near:
                 near, far, a, b = far, near, b, a

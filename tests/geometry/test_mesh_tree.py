@@ -3,7 +3,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from neuralgrasps.dataset.mesh_tree import build_tree, tree_distance
 from neuralgrasps.geometry.mesh import (
     Mesh,
     box_mesh,
@@ -13,6 +12,7 @@ from neuralgrasps.geometry.mesh import (
     signed_distance,
     sphere_mesh,
 )
+from neuralgrasps.geometry.mesh_tree import build_tree, tree_distance
 from neuralgrasps.geometry.sampling import sample_surface
 
 
