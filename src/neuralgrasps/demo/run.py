@@ -14,6 +14,7 @@ import torch
 from neuralgrasps.dataset.build import build_dataset
 from neuralgrasps.dataset.collect import PairRecord, collect_grasps
 from neuralgrasps.dataset.read import GraspDataset, read_dataset
+from neuralgrasps.demo.compile import load_and_compile
 from neuralgrasps.demo.latent import LatentMeasures, measure_latent
 from neuralgrasps.demo.measure import GraspMeasures, PoseTrial, measure_grasps, pose_trials
 from neuralgrasps.demo.meter import Meter, Stage
@@ -24,8 +25,7 @@ from neuralgrasps.hands.zoo import hand_names, load_hand
 from neuralgrasps.model.checkpoint import save_run
 from neuralgrasps.model.train import TrainResult, train
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.objects.zoo import load_object
-from neuralgrasps.parallel import available_cpus, run_tasks
+from neuralgrasps.parallel import available_cpus
 from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
 Progress = Callable[[str, int, int, str], None]
@@ -186,9 +186,10 @@ def object_sources(config: DemoConfig) -> tuple[str, ...]:
 
 def _load_objects(sources: Sequence[str], workers: int, say: Progress) -> dict[str, ObjectModel]:
     loaded: dict[int, ObjectModel] = {}
-    for index, obj in run_tasks(load_object, [(source,) for source in sources], workers=workers):
-        loaded[index] = obj
-        say("hands and objects", len(loaded), len(sources), obj.name)
+    for index, obj in load_and_compile(sources, workers=workers):
+        if obj is not None:
+            loaded[index] = obj
+            say("hands and objects", len(loaded), len(sources), obj.name)
     objects = {loaded[i].name: loaded[i] for i in range(len(sources))}
     if len(objects) < len(sources):
         raise InputError(f"two of the objects have the same name: {', '.join(o.name for o in loaded.values())}.")

@@ -8,11 +8,12 @@ import numpy as np
 from numba import njit
 
 from neuralgrasps.grasps.contact import find_contacts
-from neuralgrasps.grasps.epsilon import epsilon
+from neuralgrasps.grasps.epsilon import STARTS, epsilon
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
 from neuralgrasps.grasps.penetration import penetration_depths
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
-from neuralgrasps.kinematics.forward_kernels import forward_fast, link_poses
+from neuralgrasps.hands.packed import pose_links
+from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import CONE_EDGES, CONTACTS_PER_LINK, Candidates, GraspProblem
 from neuralgrasps.synthesis.clusters import hand_clearance
@@ -79,11 +80,10 @@ def finish_grasps(
 
 def _quality(problem: GraspProblem, contacts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
     points, normals, _ = contacts
-    return epsilon(
-        grasp_wrenches(
-            points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
-        )
+    wrenches = grasp_wrenches(
+        points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
     )
+    return epsilon(wrenches, STARTS)
 
 
 def clear_pregrasps(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -101,16 +101,13 @@ def clear_pregrasps(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> n
 
 
 @njit(cache=True, error_model="numpy")
-def _open_while_clear(values, origin, inv_spacing, packed, clusters, X_OH, q, opened, max_depth, out):
+def _open_while_clear(values, origin, inv_spacing, packed, clusters, X_OH, q, opened, max_depth, out):  # type: ignore[no-untyped-def]
     X_HL, trial = np.zeros((packed.link_radius.shape[0], 4, 4)), np.empty(q.shape[1])
     for i in range(q.shape[0]):
         for step in range(1, _OPENING_STEPS + 1):
             for j in range(q.shape[1]):
                 trial[j] = q[i, j] + step / _OPENING_STEPS * (opened[i, j] - q[i, j])
-            link_poses(
-                packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
-                trial, X_HL,
-            )  # fmt: skip
+            pose_links(packed, trial, X_HL)
             if hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH[i], X_HL) < -max_depth:
                 break
             out[i] = trial
