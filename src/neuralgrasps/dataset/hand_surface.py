@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from neuralgrasps.hands.hand import PartKind
-from neuralgrasps.hands.packed import PackedHand, hand_distance_many
-from neuralgrasps.kinematics.forward_kernels import link_poses
+from neuralgrasps.hands.packed import PackedHand, hand_distance_many, pose_links
 
 INSIDE_M = 1e-6  # a surface point of one part this deep in another is not on the hand's surface
 
@@ -97,9 +96,7 @@ def _part_points(packed: PackedHand, part: int, count: int, rng: np.random.Gener
 def packed_link_poses(packed: PackedHand, q: np.ndarray) -> np.ndarray:
     """X_HL (L, 4, 4) of one posture (J,), link frames in the hand base."""
     X_HL = np.empty((len(packed.parents), 4, 4))
-    link_poses(
-        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, X_HL
-    )
+    pose_links(packed, q, X_HL)
     return X_HL
 
 

@@ -7,7 +7,7 @@ neighbouring points (with 4 mm spacing about 0.1-0.5 mm). Use a hand packed with
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -15,10 +15,7 @@ from numba import njit
 from neuralgrasps.geometry.pose_kernels import moved_point, rigid_inverse, rigid_product
 from neuralgrasps.geometry.sdf_grid import SdfGrid, grid_distance
 from neuralgrasps.grasps.contact import link_is_farther, link_pose_in_object
-from neuralgrasps.kinematics.forward_kernels import link_poses
-
-if TYPE_CHECKING:
-    from neuralgrasps.hands.packed import PackedHand
+from neuralgrasps.hands.packed import PackedHand, pose_links
 
 _BOX, _SPHERE, _CAPSULE, _CYLINDER = 0, 1, 2, 3  # hands.hand.PartKind; the rest are hulls
 
@@ -166,16 +163,7 @@ def self_penetration(packed, X_HL):  # type: ignore[no-untyped-def]
 def _depths(points_O, sdf_values, origin, inv_spacing, packed, X_OH, q, out):  # type: ignore[no-untyped-def]
     X_HL = np.empty((len(packed.parents), 4, 4))
     for n in range(len(X_OH)):
-        link_poses(
-            packed.parents,
-            packed.joint_types,
-            packed.X_parent_joint,
-            packed.axes,
-            packed.coupling,
-            packed.offset,
-            q[n],
-            X_HL,
-        )
+        pose_links(packed, q[n], X_HL)
         out[0, n] = hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH[n], X_HL)
         out[1, n] = object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_OH[n], X_HL)
         out[2, n] = self_penetration(packed, X_HL)

@@ -20,8 +20,7 @@ from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.penetration import PenetrationDepths, penetration_depths
 from neuralgrasps.grasps.wrench_space import characteristic_length, grasp_wrenches
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.packed import PackedHand
-from neuralgrasps.kinematics.forward_kernels import link_poses
+from neuralgrasps.hands.packed import PackedHand, pose_links
 from neuralgrasps.objects.object_model import ObjectModel
 
 FAR_M = 0.01  # contact distances are clipped to this
@@ -120,16 +119,7 @@ def _judge(  # type: ignore[no-untyped-def]
 ):
     X_HL = np.empty((len(packed.parents), 4, 4))
     for n in range(len(X_OH)):
-        link_poses(
-            packed.parents,
-            packed.joint_types,
-            packed.X_parent_joint,
-            packed.axes,
-            packed.coupling,
-            packed.offset,
-            q[n],
-            X_HL,
-        )
+        pose_links(packed, q[n], X_HL)
         link_distances(sdf_values, origin, inv_spacing, packed, X_OH[n], X_HL, distances[n])
         count = find_contacts(
             sdf_values,

@@ -159,6 +159,14 @@ def _self_pairs(hand: Hand, packed: PackedHand) -> np.ndarray:
 
 
 @njit(cache=True, error_model="numpy")
+def pose_links(packed, q, out):  # type: ignore[no-untyped-def]
+    """X_HL of every link at the joints q (J,) into `out` (L, 4, 4)."""
+    link_poses(
+        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, out
+    )
+
+
+@njit(cache=True, error_model="numpy")
 def _overlap(packed, X_HL, a, b):  # type: ignore[no-untyped-def]
     """Largest depth of one link's surface points in the parts of the other, metres, >= 0."""
     depth = 0.0
@@ -215,9 +223,7 @@ def hand_distance(packed, X_HL, x, y, z):  # type: ignore[no-untyped-def]
 def hand_distance_many(packed, X_OH, q, points_O, out):  # type: ignore[no-untyped-def]
     """Signed distances of points (M, 3) in the object frame to one hand at X_OH (4, 4), q (J,), into `out` (M,)."""
     X_HL = np.empty((packed.parents.shape[0], 4, 4))
-    link_poses(
-        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, X_HL
-    )
+    pose_links(packed, q, X_HL)
     X_PO, centre_O = _part_poses(packed, X_OH, X_HL)
     gap = np.empty(packed.part_link.shape[0])  # to each part's sphere
     for i in range(points_O.shape[0]):

@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from neuralgrasps.hands.packed import nearest_part, part_distance_H
-from neuralgrasps.kinematics.forward_kernels import link_poses
+from neuralgrasps.hands.packed import nearest_part, part_distance_H, pose_links
 from neuralgrasps.kinematics.jacobian import point_jacobian
 
 _STEP = 1e-6  # metres, of the difference quotient for the gradient of one part's distance
@@ -16,9 +15,7 @@ _STEP = 1e-6  # metres, of the difference quotient for the gradient of one part'
 
 @njit(cache=True, error_model="numpy")
 def _poses(packed, q, X_HL):  # type: ignore[no-untyped-def]
-    link_poses(
-        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, X_HL
-    )
+    pose_links(packed, q, X_HL)
 
 
 @njit(cache=True, error_model="numpy")

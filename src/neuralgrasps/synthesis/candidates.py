@@ -13,8 +13,7 @@ from neuralgrasps.grasps.epsilon import epsilon, epsilon_upper_bound
 from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
 from neuralgrasps.grasps.wrench_space import characteristic_length, fill_grasp_wrenches
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.packed import PackedHand, pack_hand
-from neuralgrasps.kinematics.forward_kernels import link_poses
+from neuralgrasps.hands.packed import PackedHand, pack_hand, pose_links
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.close import Closing, close_fingers, close_jaw, make_closing
 from neuralgrasps.synthesis.clusters import Clusters, cluster_points, hand_clearance
@@ -112,7 +111,7 @@ def make_problem(
 
 
 @njit(cache=True, error_model="numpy")
-def _open_idle(packed, closing, contact_links, q_start, q, X_HL):
+def _open_idle(packed, closing, contact_links, q_start, q, X_HL):  # type: ignore[no-untyped-def]
     """Open the fingers that touch nothing to where they started, so that they are out of the others' way.
 
     Returns whether any joint moved; `q` and `X_HL` change.
@@ -127,10 +126,7 @@ def _open_idle(packed, closing, contact_links, q_start, q, X_HL):
             q[j] = q_start[j]
             moved = True
     if moved:
-        link_poses(
-            packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
-            q, X_HL,
-        )  # fmt: skip
+        pose_links(packed, q, X_HL)
     return moved
 
 

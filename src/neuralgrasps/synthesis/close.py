@@ -16,7 +16,8 @@ from numba import njit
 from neuralgrasps.grasps.contact import link_pose_in_object
 from neuralgrasps.hands.chains import moved_links
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.kinematics.forward_kernels import forward_numpy, link_poses
+from neuralgrasps.hands.packed import pose_links
+from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.synthesis.clusters import hand_clearance, link_distance, sphere_distance
 
 CONTACT_M = 3.0e-4  # a link closer than this touches
@@ -151,10 +152,7 @@ def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, 
                 moving = True
         if not moving:
             break
-        link_poses(
-            packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
-            q, X_HL,
-        )  # fmt: skip
+        pose_links(packed, q, X_HL)
 
 
 @njit(cache=True, error_model="numpy")
@@ -163,9 +161,7 @@ def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, 
 
     Returns False when the start already penetrates by more than `START_OVERLAP_M`.
     """
-    link_poses(
-        packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset, q, X_HL
-    )
+    pose_links(packed, q, X_HL)
     if hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH, X_HL) < -START_OVERLAP_M:
         return False
     X, active = np.empty((3, 4)), np.empty(q.shape[0], np.bool_)
@@ -186,10 +182,7 @@ def close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X
     X = np.empty((3, 4))
     nearest = np.empty(3)  # against the axis, palm, along the axis
     for _ in range(MAX_STEPS):
-        link_poses(
-            packed.parents, packed.joint_types, packed.X_parent_joint, packed.axes, packed.coupling, packed.offset,
-            q, X_HL,
-        )  # fmt: skip
+        pose_links(packed, q, X_HL)
         nearest[:] = 1.0e9
         for link in range(closing.side.shape[0]):
             if clusters.of_link[link] == clusters.of_link[link + 1]:
