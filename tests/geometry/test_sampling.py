@@ -37,6 +37,12 @@ def test_farthest_points_ties_go_to_the_lowest_index_and_all_can_be_chosen() -> 
     assert sorted(farthest_points(cloud, 50)) == list(range(50))
 
 
+@pytest.mark.parametrize("dims", [2, 3])
+def test_equal_points_are_each_chosen_once(dims: int) -> None:
+    points = np.repeat(np.random.default_rng(0).random((4, dims)), 3, axis=0)
+    assert sorted(farthest_points(points, 12, start=5)) == list(range(12))
+
+
 def test_farthest_points_refuse_what_does_not_fit() -> None:
     with pytest.raises(InputError, match="count is 6; expected 1 to the number of points, 5"):
         farthest_points(np.zeros((5, 3)), 6)

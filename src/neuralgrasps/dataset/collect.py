@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import neuralgrasps
 from neuralgrasps.dataset.shards import fingerprint_of
-from neuralgrasps.errors import DataFormatError
+from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet
@@ -84,9 +85,12 @@ def collect_grasps(
     Returns:
         Grasp sets and records, by object, then hand, in the order given. A set may hold fewer than wanted, or none.
     Raises:
+        InputError: two hands or two objects of one name, or a name that is not a file name.
         StorageError: the folder cannot be written.
     """
     folder, config = Path(folder), config or SynthesisConfig()
+    _check_names("hand", [hand.name for hand in hands])
+    _check_names("object", [obj.name for obj in objects])
     pairs = [(hand, obj) for obj in objects for hand in hands]
     fingerprints = {hand.name: fingerprint_of(pack_hand(hand, spacing=0.009)) for hand in hands}
     keys = [_key(fingerprints[hand.name], obj, config, seed) for hand, obj in pairs]
@@ -101,7 +105,7 @@ def collect_grasps(
         i = todo[index]
         record = record_of(result, config.count)
         grasps = result.grasps.with_config(key=keys[i])
-        write_whole(paths[i].with_suffix(".json"), json.dumps(asdict(record), indent=1).encode())
+        write_whole(paths[i].with_suffix(".json"), _record_text(record))
         save_grasps(paths[i], grasps)
         done[i] = (grasps, record)
         if progress is not None:
@@ -118,6 +122,24 @@ def _key(hand_fingerprint: str, obj: ObjectModel, config: SynthesisConfig, seed:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
+def _check_names(kind: str, names: Sequence[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"{kind} '{name}' was given twice; grasps are stored by name: give each {kind} its own.")
+        if not name or name in (".", "..") or Path(name).name != name:
+            raise InputError(f"{kind} '{name}' cannot name a file; rename it without slashes.")
+
+
+def _record_text(record: PairRecord) -> str:
+    """JSON, which has no nan: null stands for it."""
+    values = {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(record).items()}
+    return json.dumps(values, indent=1, allow_nan=False)
+
+
+def _record_of_text(text: str) -> PairRecord:
+    return PairRecord(**{k: math.nan if v is None else v for k, v in json.loads(text).items()})
+
+
 def _read(path: Path, key: str) -> tuple[GraspSet, PairRecord] | None:
     """A finished pair; None when there is none, it is damaged, or it was made from something else."""
     beside = path.with_suffix(".json")
@@ -125,7 +147,7 @@ def _read(path: Path, key: str) -> tuple[GraspSet, PairRecord] | None:
         return None
     try:
         grasps = load_grasps(path)
-        record = PairRecord(**json.loads(beside.read_text()))
-    except (DataFormatError, ValueError, TypeError):
+        record = _record_of_text(beside.read_text())
+    except (DataFormatError, ValueError, TypeError, AttributeError):
         return None
     return (grasps, record) if grasps.config.get("key") == key else None

@@ -18,6 +18,8 @@ IndexArray = NDArray[np.int64]
 def farthest_points(points: ArrayLike, count: int, *, start: int = 0) -> IndexArray:
     """Indices (count,) of points, each the farthest from all chosen before it; deterministic, ties to the lowest index.
 
+    No index comes twice, even where points coincide.
+
     Args:
         points: (N, D).
         count: how many, 1 <= count <= N.
@@ -47,6 +49,7 @@ def _farthest_points_3d(x, y, z, count, start):  # type: ignore[no-untyped-def]
     chosen[0] = last
     for c in range(1, count):
         px, py, pz = x[last], y[last], z[last]
+        nearest[last] = -1.0  # never again, not even among equal points
         for i in range(n):
             dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz
             nearest[i] = min(nearest[i], dx * dx + dy * dy + dz * dz)
@@ -65,6 +68,7 @@ def _farthest_points(columns, count, start):  # type: ignore[no-untyped-def]
     chosen[0] = last
     for c in range(1, count):
         squared[:] = 0.0
+        nearest[last] = -1.0
         for d in range(dims):
             value = columns[d, last]
             for i in range(n):

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from neuralgrasps.grasps.contact import find_contacts
-from neuralgrasps.grasps.epsilon import epsilon
+from neuralgrasps.grasps.epsilon import STARTS, epsilon
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
 from neuralgrasps.grasps.penetration import penetration_depths
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
@@ -80,11 +80,10 @@ def finish_grasps(
 
 def _quality(problem: GraspProblem, contacts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
     points, normals, _ = contacts
-    return epsilon(
-        grasp_wrenches(
-            points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
-        )
+    wrenches = grasp_wrenches(
+        points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
     )
+    return epsilon(wrenches, STARTS)
 
 
 def clear_pregrasps(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -47,7 +47,7 @@ def poses_from_palm(X_HP: np.ndarray, origin_O: np.ndarray, x_axis: np.ndarray, 
 
 
 @njit(cache=True, error_model="numpy")
-def _trace_through(values, origin, inv_spacing, start, direction, max_width, out_exit, out_normal):
+def _trace_through(values, origin, inv_spacing, start, direction, max_width, out_exit, out_normal):  # type: ignore[no-untyped-def]
     """Walk from a surface point through the object to the far side; False when wider than `max_width`."""
     travelled = 1.0e-3
     inside = False
@@ -72,7 +72,7 @@ def _trace_through(values, origin, inv_spacing, start, direction, max_width, out
 
 
 @njit(cache=True, error_model="numpy")
-def _antipodal_pairs(values, origin, inv_spacing, points, directions, max_width, cos_cone, exits, keep):
+def _antipodal_pairs(values, origin, inv_spacing, points, directions, max_width, cos_cone, exits, keep):  # type: ignore[no-untyped-def]
     normal = np.empty(3)
     for i in range(points.shape[0]):
         found = _trace_through(values, origin, inv_spacing, points[i], directions[i], max_width, exits[i], normal)
@@ -81,9 +81,12 @@ def _antipodal_pairs(values, origin, inv_spacing, points, directions, max_width,
 
 
 def jaw_aperture(hand: Hand) -> float:
-    """Largest object width, metres, that fits between the open pads of a parallel jaw."""
-    travel = hand.tree.upper[0] - max(hand.tree.lower[0], 0.0)
-    return float(travel * np.abs(hand.tree.coupling[:, 0]).sum())
+    """Largest object width, metres, that fits between the open pads of a parallel jaw whose closed pads meet."""
+    end = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
+    closed = np.where(hand.closing_rate != 0, end, hand.q_open)
+    opened_H, closed_H = forward_fast(hand.tree, np.stack([hand.q_open, closed]))
+    advance = (closed_H - opened_H)[:, :3, 3] @ hand.X_HP[:3, 0]
+    return float(advance.max() - advance.min())
 
 
 def _draw_pairs(
@@ -141,7 +144,7 @@ def draw_preshapes(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarr
 
 
 @njit(cache=True, error_model="numpy")
-def _advance_to_contact(
+def _advance_to_contact(  # type: ignore[no-untyped-def]
     values, origin, inv_spacing, packed, clusters, X_OH, X_HL, approach, contact_m, max_travel, touching, travel
 ):
     """Sphere-trace every open hand along its approach to first contact.

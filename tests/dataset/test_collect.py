@@ -1,0 +1,163 @@
+"""Collecting grasps of many pairs: resumable, the same for any number of workers."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from neuralgrasps.dataset.collect import collect_grasps, record_of
+from neuralgrasps.errors import InputError, StorageError
+from neuralgrasps.geometry.primitives import box_mesh, sphere_mesh
+from neuralgrasps.grasps.grasp_io import load_grasps
+from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
+
+CONFIG = SynthesisConfig(count=2, batch=200, max_rounds=2, niches=6, generations=1, children=2)
+
+
+@pytest.fixture(scope="module")
+def hands():
+    return [load_hand("panda"), load_hand("fetch")]
+
+
+@pytest.fixture(scope="module")
+def objects(make_object):
+    return [make_object("ball", sphere_mesh(0.03, segments=32)), make_object("slab", box_mesh([0.05, 0.05, 0.01]))]
+
+
+@pytest.fixture(scope="module")
+def collected(tmp_path_factory, hands, objects):
+    folder = tmp_path_factory.mktemp("collected")
+    return folder, *collect_grasps(folder, hands, objects, config=CONFIG, seed=1, workers=1)
+
+
+def _same(first, second):
+    for a, b in zip(first, second, strict=True):
+        assert (a.hand, a.object, len(a)) == (b.hand, b.object, len(b))
+        for name in ("X_OH", "q", "q_pregrasp", "q_squeeze", "contact_points_O", "contact_links", "epsilon"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        for name, verdict in a.verdicts.items():
+            np.testing.assert_array_equal(verdict.displacement_m, b.verdicts[name].displacement_m)
+
+
+def test_sets_come_by_object_then_hand_and_lie_in_the_folder(collected):
+    folder, sets, records = collected
+    assert [(s.object, s.hand) for s in sets] == [
+        ("ball", "panda"), ("ball", "fetch"), ("slab", "panda"), ("slab", "fetch"),
+    ]  # fmt: skip
+    for grasps, record in zip(sets, records, strict=True):
+        stored = load_grasps(folder / grasps.object / f"{grasps.hand}.safetensors")
+        _same([grasps], [stored])
+        assert (record.hand, record.object, record.validated) == (grasps.hand, grasps.object, len(grasps))
+        assert record.wanted == 2 and record.reason == "" and record.cpu_s > 0
+
+
+@pytest.mark.parametrize("workers", [2, 3])
+def test_the_grasps_have_the_same_bits_for_any_number_of_workers(collected, tmp_path, hands, objects, workers):
+    _, sets, _ = collected
+    seen = []
+    again, _ = collect_grasps(
+        tmp_path, hands, objects, config=CONFIG, seed=1, workers=workers, progress=lambda *p: seen.append(p)
+    )
+    _same(sets, again)
+    assert [p[0] for p in seen] == [1, 2, 3, 4] and {p[1] for p in seen} == {4}
+
+
+def test_a_second_run_makes_nothing_again(collected, hands, objects, monkeypatch):
+    folder, sets, records = collected
+    before = {p: p.stat().st_mtime_ns for p in folder.rglob("*.*")}
+    monkeypatch.setattr("neuralgrasps.dataset.collect.synthesise", None)
+    seen = []
+    again, found = collect_grasps(folder, hands, objects, config=CONFIG, seed=1, progress=lambda *p: seen.append(p))
+    _same(sets, again)
+    assert found == records
+    assert {p: p.stat().st_mtime_ns for p in folder.rglob("*.*")} == before
+    assert seen == [(4, 4, "kept from an earlier run")]
+
+
+def _remade(folder, hands, objects, monkeypatch, **changes):
+    """Names of the pairs that another run synthesises."""
+    made = []
+
+    def spy(hand, obj, **arguments):
+        made.append((obj.name, hand.name))
+        return synthesise(hand, obj, **arguments)
+
+    monkeypatch.setattr("neuralgrasps.dataset.collect.synthesise", spy)
+    arguments = {"config": CONFIG, "seed": 1, "workers": 1} | changes
+    collect_grasps(folder, hands, objects, **arguments)
+    return made
+
+
+@pytest.fixture
+def copy(collected, tmp_path):
+    folder, _, _ = collected
+    for path in folder.rglob("*.*"):
+        target = tmp_path / path.relative_to(folder)
+        target.parent.mkdir(exist_ok=True)
+        target.write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def test_an_interrupted_run_goes_on_with_what_is_missing_or_damaged(copy, hands, objects, monkeypatch):
+    (copy / "ball" / "panda.safetensors").unlink()
+    (copy / "slab" / "panda.json").unlink()
+    damaged = copy / "slab" / "fetch.safetensors"
+    damaged.write_bytes(damaged.read_bytes()[:-20])
+    (copy / "ball" / "fetch.json").write_text("[]")
+    made = _remade(copy, hands, objects, monkeypatch)
+    assert sorted(made) == [("ball", "fetch"), ("ball", "panda"), ("slab", "fetch"), ("slab", "panda")]
+    assert _remade(copy, hands, objects, monkeypatch) == []
+
+
+@pytest.mark.parametrize("change", ["seed", "config", "object", "hand"])
+def test_grasps_of_something_else_are_not_taken_for_these(copy, hands, objects, monkeypatch, make_object, change):
+    changes, objs, used = {}, objects[:1], hands[:1]
+    if change == "seed":
+        changes["seed"] = 2
+    elif change == "config":
+        changes["config"] = replace(CONFIG, friction=0.5)
+    elif change == "object":
+        objs = [make_object("ball", sphere_mesh(0.031, segments=32))]
+    else:
+        used = [replace(hands[0], parts=hands[0].parts[:-1])]
+    assert _remade(copy, used, objs, monkeypatch, **changes) == [("ball", "panda")]
+
+
+def test_pairs_that_do_not_fit_are_empty_sets_with_a_reason_and_valid_json(tmp_path, hands, make_object):
+    cube = make_object("cube", box_mesh([0.15, 0.15, 0.15]))
+    (grasps,), (record,) = collect_grasps(tmp_path, hands[:1], [cube], config=CONFIG, workers=1)
+    assert len(grasps) == 0 and "aperture of 80 mm" in record.reason
+    assert np.isnan(record.physics_success)
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} is not JSON")
+
+    json.loads((tmp_path / "cube" / "panda.json").read_text(), parse_constant=refuse)
+    (_,), (again,) = collect_grasps(tmp_path, hands[:1], [cube], config=CONFIG, workers=1)
+    assert np.isnan(again.physics_success) and again.reason == record.reason
+
+
+def test_names_that_would_share_a_file_are_refused(tmp_path, hands, objects):
+    with pytest.raises(InputError, match="panda"):
+        collect_grasps(tmp_path, [hands[0], hands[0]], objects, config=CONFIG, workers=1)
+    with pytest.raises(InputError, match="ball"):
+        collect_grasps(tmp_path, hands, [objects[0], replace(objects[1], name="ball")], config=CONFIG, workers=1)
+    with pytest.raises(InputError, match=r"\.\./ball"):
+        collect_grasps(tmp_path, hands, [replace(objects[0], name="../ball")], config=CONFIG, workers=1)
+
+
+def test_a_folder_that_cannot_be_written_is_a_storage_error(tmp_path, hands, objects):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError):
+        collect_grasps(tmp_path / "file", hands[:1], objects[:1], config=CONFIG, workers=1)
+
+
+def test_a_record_holds_the_numbers_of_its_synthesis(hands, objects):
+    result = synthesise(hands[0], objects[0], config=CONFIG, seed=1)
+    record = record_of(result, 2)
+    assert record.valid == result.outcomes["valid"] and record.tried == result.tried
+    assert record.proposals == result.proposals and record.cpu_s == pytest.approx(sum(result.cpu_s.values()))
