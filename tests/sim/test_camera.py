@@ -68,6 +68,16 @@ def test_a_wall_seen_square_loses_nothing_and_one_seen_edge_on_loses_the_stated_
     assert lost == pytest.approx(0.8 * (1 - cosine**2) ** 4, abs=0.06)
 
 
+def test_a_wall_seen_at_an_angle_loses_little():
+    noise = DepthNoise(axial_m=0.0, step_m=0.0, grazing_dropout=0.8)
+    angle = np.deg2rad(60.0)
+    eye = np.array([0.0, -0.6 * np.sin(angle), 0.01 + 0.6 * np.cos(angle)])
+    X_WC = look_at(eye, np.array([0.0, 0.0, 0.01]))
+    sensed = render_depth_view([WALL], np.eye(4)[None], X_WC=X_WC, intrinsics=CAMERA, noise=noise)
+    lost = 1.0 - (sensed.depth[56:65] > 0).mean()
+    assert lost == pytest.approx(0.8 * np.sin(angle) ** 8, abs=0.06)
+
+
 def test_pixels_that_see_nothing_stay_empty():
     X_WC = look_at(np.array([0.5, 0.0, 0.0]), np.zeros(3))
     arguments = {"X_WC": X_WC, "intrinsics": CAMERA}
