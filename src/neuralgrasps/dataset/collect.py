@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import neuralgrasps
 from neuralgrasps.dataset.shards import fingerprint_of
@@ -137,7 +138,8 @@ def _record_text(record: PairRecord) -> str:
 
 
 def _record_of_text(text: str) -> PairRecord:
-    return PairRecord(**{k: math.nan if v is None else v for k, v in json.loads(text).items()})
+    values: dict[str, Any] = {k: math.nan if v is None else v for k, v in json.loads(text).items()}
+    return PairRecord(**values)
 
 
 def _read(path: Path, key: str) -> tuple[GraspSet, PairRecord] | None:
