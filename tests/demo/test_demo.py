@@ -10,7 +10,8 @@ import pytest
 
 from neuralgrasps.dataset.read import read_dataset
 from neuralgrasps.dataset.verify import verify_dataset
-from neuralgrasps.demo.run import DemoConfig, DemoResult, object_sources, run_demo
+from neuralgrasps.demo.data import DemoConfig, DemoResult
+from neuralgrasps.demo.run import object_sources, run_demo
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_io import load_grasps
 
@@ -47,7 +48,7 @@ def test_figures_are_measured(finished):
     assert figures["penetration_p95_mm"] <= figures["penetration_max_mm"]
     assert 0.0 <= figures["retrieval_gap_encoded"] <= 0.2
     assert figures["hand_surface_mean_mm"] < 0.01  # encoded grasps decode exactly
-    assert figures["hand_surface_observed_mean_mm"] < 5.0
+    assert figures["hand_surface_inferred_mean_mm"] < 5.0
     assert figures["pose_add_s_median_mm"] < 3.0
     assert figures["demo_wall_s"] > 0.0 and figures["peak_rss_gb"] > 0.05
 
@@ -82,7 +83,7 @@ def test_second_run_keeps_the_grasps_and_two_workers_change_nothing(finished, tm
         for field in ("X_OH", "q", "q_squeeze", "epsilon", "contact_links"):
             np.testing.assert_array_equal(getattr(one, field), getattr(two, field))
     for result in (again, fresh):
-        for key in ("penetration_p95_mm", "retrieval_gap", "hand_surface_observed_mean_mm", "pose_add_s_median_mm"):
+        for key in ("penetration_p95_mm", "retrieval_gap", "hand_surface_inferred_mean_mm", "pose_add_s_median_mm"):
             assert result.figures[key] == first.figures[key]
 
 

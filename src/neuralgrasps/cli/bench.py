@@ -41,7 +41,8 @@ def bench(
         workers: processes.
         quick: one object, two hands and 8 grasps a pair.
     """
-    from neuralgrasps.demo.run import DemoConfig, run_demo
+    from neuralgrasps.demo.data import DemoConfig
+    from neuralgrasps.demo.run import run_demo
     from neuralgrasps.parallel import available_cpus
 
     options: dict[str, Any] = {"objects_dir": objects, "count": count, "seed": seed, "workers": workers}

@@ -39,7 +39,8 @@ def demo(
         workers: processes.
         out: folder for report.html and everything that was made.
     """
-    from neuralgrasps.demo.run import DemoConfig, run_demo
+    from neuralgrasps.demo.data import DemoConfig
+    from neuralgrasps.demo.run import run_demo
     from neuralgrasps.hands.zoo import hand_names
 
     check_writable(out, folder=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -12,45 +12,65 @@ from scipy.spatial.distance import cdist
 from neuralgrasps.apply.retrieve import retrieve
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.dataset.read import GraspDataset
-from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.demo.measure import Progress
 from neuralgrasps.evaluate.embedding import embed_codes
+from neuralgrasps.evaluate.reconstruction import (
+    HandReconstruction,
+    ObjectReconstruction,
+    reconstruct_hands,
+    reconstruct_object,
+)
 from neuralgrasps.evaluate.retrieval import RetrievalScores, score_codebook
-from neuralgrasps.geometry.sampling import sample_surface
-from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.model.codes import CodeBook, join_codes
-from neuralgrasps.model.infer import InferResult, infer_grasps
+from neuralgrasps.model.infer import infer_grasps
 from neuralgrasps.model.kinematic_field import KinematicField
-from neuralgrasps.model.reconstruct import PublishedChamfer, hand_surface_distances, published_chamfer
+from neuralgrasps.model.reconstruct import SurfaceErrors, hand_surface_distances, surface_errors
 from neuralgrasps.model.train import TrainResult
-from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
-from neuralgrasps.seeds import child_rng, child_seed
+from neuralgrasps.seeds import child_rng
 
 OBSERVED_POINTS = 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ObjectMeasures:
-    """One object's held-out grasps.
+class PairMeasures:
+    """Held-out grasps of one hand on one object.
 
     Attributes:
-        scores: retrieval by encoded codes; observed_scores: by codes inferred from unlabelled hand points.
-        encoded_error_m, observed_error_m: (T,) mean two-sided surface distance of the decoded and of the inferred hand.
-        object_error_m: mean |distance grid| on the object's true surface.
-        chamfer, chamfer_oracle: the published reconstruction measure of the inferred hand, and what a perfect
-            field scores.
+        encoded: surface error of the decoded codes of known joints (the code keeps the grasp, so this is rounding).
+        inferred: the same, with the published measure, for grasps inferred from unlabelled hand points.
+        codes: the inferred codes, one per test grasp.
     """
+
+    hand: str
+    object: str
+    encoded: SurfaceErrors
+    inferred: HandReconstruction
+    codes: CodeBook
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectMeasures:
+    """One object's held-out grasps: retrieval by encoded and by inferred codes, reconstruction of object and hands."""
 
     object: str
     scores: RetrievalScores
-    observed_scores: RetrievalScores
-    encoded_error_m: np.ndarray
-    observed_error_m: np.ndarray
-    object_error_m: float
-    chamfer: float
-    chamfer_oracle: float
+    inferred_scores: RetrievalScores
+    shape: ObjectReconstruction
+    pairs: tuple[PairMeasures, ...]
+
+    @property
+    def encoded_error_m(self) -> float:
+        return float(np.mean([p.encoded.mean_m for p in self.pairs]))
+
+    @property
+    def inferred_error_m(self) -> float:
+        return float(np.mean([p.inferred.surface.mean_m for p in self.pairs]))
+
+    @property
+    def inferred_p95_m(self) -> float:
+        """The worst hand's 95th percentile."""
+        return max(p.inferred.surface.p95_m for p in self.pairs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,12 +121,12 @@ class LatentMeasures:
     maps_2d: tuple[Embedding, ...]
 
     @property
-    def encoded_error_m(self) -> np.ndarray:
-        return np.concatenate([o.encoded_error_m for o in self.objects])
+    def encoded_error_m(self) -> float:
+        return float(np.mean([o.encoded_error_m for o in self.objects]))
 
     @property
-    def observed_error_m(self) -> np.ndarray:
-        return np.concatenate([o.observed_error_m for o in self.objects])
+    def inferred_error_m(self) -> float:
+        return float(np.mean([o.inferred_error_m for o in self.objects]))
 
     @property
     def gap_encoded(self) -> float:
@@ -114,9 +134,9 @@ class LatentMeasures:
         return float(np.mean([o.scores.gap for o in self.objects]))
 
     @property
-    def gap_observed(self) -> float:
+    def gap_inferred(self) -> float:
         """The same, with codes inferred from observed hand points."""
-        return float(np.mean([o.observed_scores.gap for o in self.objects]))
+        return float(np.mean([o.inferred_scores.gap for o in self.objects]))
 
 
 def measure_latent(
@@ -125,11 +145,10 @@ def measure_latent(
     """Encode, infer, reconstruct and retrieve the test grasps of a dataset."""
     field, book = trained.field, trained.codebook
     gallery = book[book.where(is_test=False)]
-    inferred = _infer_all(field, dataset, gallery, seed=seed, workers=workers, progress=progress)
-    maps = {pair: dataset.contact_maps(*pair) for pair in dataset.pairs}
+    pairs = _measure_pairs(field, book, dataset, seed=seed, workers=workers, progress=progress)
     return LatentMeasures(
-        objects=tuple(_measure_object(trained, dataset, name, inferred, seed) for name in dataset.objects),
-        maps=maps,
+        objects=tuple(_measure_object(field, book, dataset, name, pairs) for name in dataset.objects),
+        maps={pair: dataset.contact_maps(*pair) for pair in dataset.pairs},
         retrieval=tuple(
             example for name in dataset.objects if (example := _example(book, gallery, name, "human")) is not None
         ),
@@ -137,113 +156,63 @@ def measure_latent(
     )
 
 
-def _infer_all(
-    field: KinematicField,
-    dataset: GraspDataset,
-    gallery: CodeBook,
-    *,
-    seed: int,
-    workers: int,
-    progress: Progress | None,
-) -> dict[tuple[str, str], InferResult]:
-    """Every test grasp from `OBSERVED_POINTS` unlabelled points of its hand's surface; one task per pair."""
-    pairs = [pair for pair in dataset.pairs if len(dataset.split(*pair).test)]
+def _measure_pairs(
+    field: KinematicField, book: CodeBook, dataset: GraspDataset, *, seed: int, workers: int, progress: Progress | None
+) -> list[PairMeasures]:
+    """One task per hand and object, in the order of the dataset's pairs."""
     tasks = []
-    for hand, obj in pairs:
-        chosen = dataset.grasps(hand, obj)[dataset.split(hand, obj).test]
-        clouds = [
-            sample_posed_surface(
-                field.packed[hand],
-                chosen.X_OH[i],
-                chosen.q[i],
-                OBSERVED_POINTS,
-                child_rng(seed, "observed", hand, obj, i),
-            )
-            for i in range(len(chosen))
-        ]
-        rows = gallery[gallery.where(hand=hand, object_name=obj)]
-        small = KinematicField(
-            hands={hand: field.hands[hand]}, objects={obj: field.objects[obj]},
-            hand_codecs={hand: field.hand_codecs[hand]}, object_codecs={obj: field.object_codecs[obj]},
-        )  # fmt: skip
-        tasks.append((clouds, small, rows, hand, obj))
-    results: dict[tuple[str, str], InferResult] = {}
-    for index, result in run_tasks(_infer_pair, tasks, workers=workers):
-        results[pairs[index]] = result
+    for hand, obj in dataset.pairs:
+        if len(dataset.split(hand, obj).test):
+            small = KinematicField(
+                hands={hand: field.hands[hand]}, objects={obj: field.objects[obj]},
+                hand_codecs={hand: field.hand_codecs[hand]}, object_codecs={obj: field.object_codecs[obj]},
+            )  # fmt: skip
+            tasks.append((small, book[book.where(hand=hand, object_name=obj)], dataset, hand, obj, seed))
+    results: dict[int, PairMeasures] = {}
+    for index, result in run_tasks(_measure_pair, tasks, workers=workers):
+        results[index] = result
         if progress is not None:
-            progress(len(results), len(tasks), " on ".join(pairs[index]))
-    return results
+            progress(len(results), len(tasks), f"{result.hand} on {result.object}")
+    return [results[i] for i in range(len(tasks))]
 
 
-def _infer_pair(
-    clouds: Sequence[np.ndarray], field: KinematicField, gallery: CodeBook, hand: str, obj: str
-) -> InferResult:
-    return infer_grasps(clouds, field, gallery, hand=hand, object_name=obj)
-
-
-def _measure_object(
-    trained: TrainResult,
-    dataset: GraspDataset,
-    name: str,
-    inferred: Mapping[tuple[str, str], InferResult],
-    seed: int,
-) -> ObjectMeasures:
-    field, book = trained.field, trained.codebook
-    asked = book[book.where(object_name=name, is_test=True)]
-    hands = [hand for hand, obj in dataset.pairs if obj == name and (hand, obj) in inferred]
-    # the book lists each hand's grasps together, in the order of its hands
-    observed = join_codes([inferred[hand, name].codes for hand in hands])
-    encoded_error: list[np.ndarray] = []
-    observed_error: list[np.ndarray] = []
-    chamfers = []
-    for hand in hands:
-        grasps = dataset.grasps(hand, name)[dataset.split(hand, name).test]
-        rows = asked[asked.where(hand=hand)]
-        code = torch.as_tensor(rows.values, dtype=torch.float64)
-        with torch.no_grad():
-            decoded = field.decode(code, hand=hand, object_name=name)
-        X_decoded, q_decoded = decoded.X_OH.numpy(), decoded.q.numpy()
-        result, packed = inferred[hand, name], field.packed[hand]
-        for X_OH, q, errors in (
-            (X_decoded, q_decoded, encoded_error),
-            (result.X_OH, result.q, observed_error),
-        ):
-            distances = hand_surface_distances(packed, X_OH, q, grasps.X_OH, grasps.q, seed=seed)
-            errors.append(distances.mean(axis=1))
-        chamfers.append(
-            _chamfer(packed, dataset, name, (result.X_OH[:1], result.q[:1]), (grasps.X_OH[:1], grasps.q[:1]))
-        )
-    return ObjectMeasures(
-        object=name,
-        scores=score_codebook(book, object_name=name),
-        observed_scores=score_codebook(book, object_name=name, queries=observed),
-        encoded_error_m=np.concatenate(encoded_error),
-        observed_error_m=np.concatenate(observed_error),
-        object_error_m=_object_error(field.object(name), seed),
-        chamfer=float(np.mean([c.chamfer for c in chamfers])),
-        chamfer_oracle=float(np.mean([c.oracle for c in chamfers])),
+def _measure_pair(
+    field: KinematicField, book: CodeBook, dataset: GraspDataset, hand: str, obj: str, seed: int
+) -> PairMeasures:
+    """Infer a pair's test grasps from `OBSERVED_POINTS` unlabelled points of the hand's surface each, and compare."""
+    known, gallery = book[book.where(is_test=True)], book[book.where(is_test=False)]
+    packed, test = field.packed[hand], known.grasp_index
+    grasps = dataset.grasps(hand, obj)[test]
+    clouds = [
+        sample_posed_surface(packed, X_OH, q, OBSERVED_POINTS, child_rng(seed, "observed", hand, obj, int(index)))
+        for X_OH, q, index in zip(grasps.X_OH, grasps.q, test, strict=True)
+    ]
+    found = infer_grasps(clouds, field, gallery, hand=hand, object_name=obj)
+    codes = replace(found.codes, grasp_index=test)
+    with torch.no_grad():
+        decoded = field.decode(torch.as_tensor(known.values.astype(np.float64)), hand=hand, object_name=obj)
+    exact = hand_surface_distances(packed, decoded.X_OH.numpy(), decoded.q.numpy(), grasps.X_OH, grasps.q, seed=seed)
+    return PairMeasures(
+        hand=hand,
+        object=obj,
+        encoded=surface_errors(exact),
+        inferred=reconstruct_hands(field, dataset, codes, hand=hand, object_name=obj, seed=seed),
+        codes=codes,
     )
 
 
-Posed = tuple[np.ndarray, np.ndarray]  # X_OH (1, 4, 4), q (1, J)
-
-
-def _object_error(obj: ObjectModel, seed: int) -> float:
-    points, _, _ = sample_surface(obj.mesh, 20_000, child_seed(seed, "object surface", obj.name))
-    return float(np.abs(query_grid_numpy(obj.sdf, points)).mean())
-
-
-def _chamfer(
-    packed: PackedHand, dataset: GraspDataset, object_name: str, decoded: Posed, true: Posed
-) -> PublishedChamfer:
-    """The published measure of one decoded hand."""
-    surface = sample_posed_surface(packed, true[0][0], true[1][0], 20_000, child_rng(0, "chamfer"))
-    return published_chamfer(
-        lambda points: hand_distances(packed, *decoded, points)[0],
-        lambda points: hand_distances(packed, *true, points)[0],
-        surface,
-        normalisation=dataset.object(object_name).normalisation,
-        seed=0,
+def _measure_object(
+    field: KinematicField, book: CodeBook, dataset: GraspDataset, name: str, measured: Sequence[PairMeasures]
+) -> ObjectMeasures:
+    pairs = tuple(p for p in measured if p.object == name)
+    # the book holds each hand's test grasps together, in the order of the pairs
+    inferred = join_codes([p.codes for p in pairs])
+    return ObjectMeasures(
+        object=name,
+        scores=score_codebook(book, object_name=name),
+        inferred_scores=score_codebook(book, object_name=name, queries=inferred),
+        shape=reconstruct_object(field, dataset, object_name=name),
+        pairs=pairs,
     )
 
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from neuralgrasps.demo.data import DemoData
+from neuralgrasps.demo.measure import Progress
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
 from neuralgrasps.report.figures import render_contact_map, render_grasp, render_hand
-
-if TYPE_CHECKING:
-    from neuralgrasps.demo.measure import Progress
-    from neuralgrasps.demo.run import DemoData
 
 Request = tuple[str, str, str, int]  # kind, hand, object, grasp
 Job = tuple[str, np.ndarray, np.ndarray, np.ndarray]  # kind, X_OH, q, contact map; what a kind does not use is empty

@@ -10,18 +10,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-# Published figures of the method this library builds on (Khargonkar et al. 2022, unseen test grasps): contact-map
-# similarity of the nearest neighbour by code, by contact map, and of the farthest by code, by contact map.
-PAPER_RETRIEVAL: dict[str, tuple[float, float, float, float]] = {
-    "cracker_box": (0.81, 0.88, 0.19, 0.15),
-    "tomato_soup_can": (0.73, 0.84, 0.13, 0.09),
-    "mustard_bottle": (0.80, 0.87, 0.14, 0.10),
-    "pudding_box": (0.77, 0.84, 0.25, 0.16),
-    "gelatin_box": (0.75, 0.81, 0.22, 0.14),
-    "potted_meat_can": (0.76, 0.83, 0.21, 0.12),
-    "bleach_cleanser": (0.86, 0.91, 0.16, 0.13),
-}
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyFigure:

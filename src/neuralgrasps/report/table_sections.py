@@ -7,8 +7,9 @@ from html import escape
 
 import numpy as np
 
+from neuralgrasps.evaluate.published import PUBLISHED_RETRIEVAL, plain_name
 from neuralgrasps.report.charts import bars_svg, histogram_svg, legend_html, short_number
-from neuralgrasps.report.content import PAPER_RETRIEVAL, Histogram, ModelRow, StageTime, SynthesisRow, Table
+from neuralgrasps.report.content import Histogram, ModelRow, StageTime, SynthesisRow, Table
 from neuralgrasps.report.palette import HAND_COLOURS, hand_colour
 from neuralgrasps.report.sections import pretty_name
 
@@ -73,7 +74,7 @@ def retrieval_table(rows: Sequence[ModelRow]) -> Table:
     far_columns = ("far, by code", "lowest possible", "paper far / lowest")
     body = []
     for r in rows:
-        paper = PAPER_RETRIEVAL.get(_plain(r.object))
+        paper = PUBLISHED_RETRIEVAL.get(plain_name(r.object))
         gap = r.near_contact - r.near_code if r.near_contact is not None and r.near_code is not None else None
         near_paper = f"{paper[0]:.2f} / {paper[1]:.2f}" if paper else None
         far_paper = f"{paper[2]:.2f} / {paper[3]:.2f}" if paper else None
@@ -199,8 +200,3 @@ def _fixed(value: float | None, digits: int = 2) -> str | None:
 
 def _whole(value: float | None) -> int | None:
     return None if value is None else round(value)
-
-
-def _plain(name: str) -> str:
-    head, _, tail = name.partition("_")
-    return tail if head.isdigit() and tail else name
