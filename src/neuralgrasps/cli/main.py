@@ -39,6 +39,8 @@ def run(argv: Sequence[str] | None = None) -> int:
     0 done, 1 ran and failed, 2 bad input, 130 stopped with Ctrl-C.
     """
     args = list(sys.argv[1:] if argv is None else argv)
+    # Threads that wait actively make small-net training many times slower on shared cores; torch reads this on import.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     before = _catch_sigterm()
     try:
         options = split_global_options(args)

@@ -73,8 +73,8 @@ def paper_table(data: DemoData) -> Table:
         columns=("object", *shapes),
         rows=tuple(rows),
         meaning="The published measure compares a filled shape with a surface, so a perfect field does not score 0, "
-        "and a smaller number than its own is no better. Ours decode exact solids, so they meet the perfect field's. The "
-        "paper's figures are for its own grasps and learned shapes; the hands' models differ too.",
+        "and a smaller number than its own is no better. Ours decode exact solids, so they meet the perfect field's. "
+        "The paper's figures are for its own grasps and learned shapes; the hands' models differ too.",
         how="Unseen grasps, inferred from 1,024 unlabelled surface points (the paper: from signed distances); 100,000 "
         "queries.",
     )
