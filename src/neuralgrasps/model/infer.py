@@ -71,6 +71,15 @@ class InferConfig:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 1.")
 
 
+def one_view_config(noise_m: float = 0.001, *, seed: int = 0) -> InferConfig:
+    """For points that one depth camera sees, noise of standard deviation `noise_m` along its rays.
+
+    Parts of the hand may be unseen, so nothing asks for points near them: there the posture stays near its start.
+    """
+    good = max(0.0005, 0.9 * noise_m)
+    return InferConfig(coverage=0.0, good_m=good, converged_m=good + 0.001, seed=seed)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InferResult:
     """Grasps inferred from points, one per scene.

@@ -1,0 +1,97 @@
+"""What a sensor sees of a grasping hand: points on its whole surface, or those one depth camera sees."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from neuralgrasps.dataset.hand_surface import sample_posed_surface
+from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.camera import Intrinsics, look_at, pixel_rays
+from neuralgrasps.geometry.raster import rasterise
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.packed import PackedHand
+from neuralgrasps.hands.surface import hand_mesh
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.seeds import child_rng
+
+CAMERA = Intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480)
+DISTANCE_M = 0.6
+MIN_PIXELS = 200
+_TRIES = 64
+
+
+def observe_hand(
+    packed: PackedHand,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    seed: int,
+    points: int = 1024,
+    noise_m: float = 0.0,
+) -> np.ndarray:
+    """Points on the whole surface of one posed hand, uniform by area.
+
+    Args:
+        X_OH: (4, 4) hand base in the object frame, metres; q: (J,) joints.
+        seed: with the grasp itself it determines the points. noise_m: standard deviation added to each coordinate.
+    Returns:
+        (points, 3) float64, object frame, metres.
+    """
+    rng = _grasp_rng(seed, "whole surface", X_OH, q)
+    cloud = sample_posed_surface(packed, X_OH, q, points, rng)
+    return cloud + rng.normal(scale=noise_m, size=cloud.shape) if noise_m > 0 else cloud
+
+
+def observe_hand_one_view(
+    hand: Hand,
+    obj: ObjectModel,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    seed: int,
+    noise_m: float = 0.001,
+    points: int = 1024,
+) -> np.ndarray:
+    """Hand points that one depth camera sees, the object and the hand itself in the way.
+
+    The camera is `DISTANCE_M` from the middle of the hand, in a random direction; directions that show
+    fewer than `MIN_PIXELS` pixels of the hand are drawn again.
+
+    Args:
+        X_OH: (4, 4) hand base in the object frame, metres; q: (J,) joints.
+        seed: with the grasp itself it determines the direction and the noise.
+        noise_m: standard deviation of the depth along each pixel's ray. points: at most so many, a random subset.
+    Returns:
+        (M <= points, 3) float64, object frame, metres.
+    Raises:
+        InputError: the hand is hidden from all directions tried.
+    """
+    rng = _grasp_rng(seed, "one view", X_OH, q)
+    mesh = hand_mesh(hand, np.asarray(q, np.float64))
+    X_OH = np.asarray(X_OH, np.float64)
+    middle_O = X_OH[:3, :3] @ mesh.bounds.mean(axis=0) + X_OH[:3, 3]
+    rays_C = pixel_rays(CAMERA)
+    for _ in range(_TRIES):
+        direction = rng.normal(size=3)
+        X_OC = look_at(middle_O + DISTANCE_M * direction / np.linalg.norm(direction), middle_O)
+        X_CO = np.linalg.inv(X_OC)
+        image = rasterise([obj.mesh, mesh], np.stack([X_CO, X_CO @ X_OH]), CAMERA)
+        seen = image.mesh_index == 1
+        if seen.sum() < MIN_PIXELS:
+            continue
+        points_C = rays_C[seen] * image.depth[seen][:, None].astype(np.float64)
+        chosen = np.sort(rng.permutation(len(points_C))[:points])
+        points_C = points_C[chosen]
+        far = np.linalg.norm(points_C, axis=1, keepdims=True)
+        points_C *= 1.0 + rng.normal(scale=noise_m, size=far.shape) / far if noise_m > 0 else 1.0
+        return points_C @ X_OC[:3, :3].T + X_OC[:3, 3]
+    raise InputError(
+        f"hand '{hand.name}' on '{obj.name}' is hidden: of {_TRIES} random views none shows {MIN_PIXELS} pixels of it."
+    )
+
+
+def _grasp_rng(seed: int, what: str, X_OH: np.ndarray, q: np.ndarray) -> np.random.Generator:
+    grasp = np.concatenate([np.asarray(X_OH, np.float64).ravel(), np.asarray(q, np.float64).ravel()])
+    return child_rng(seed, what, hashlib.sha256(grasp.tobytes()).hexdigest())
