@@ -37,7 +37,7 @@ quickstart: setup
 	$(BIN)/neuralgrasps demo
 
 test: setup-dev
-	OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -q -n auto
+	OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE $(BIN)/python -m pytest -q -n auto --dist worksteal
 
 lint: setup-dev
 	$(BIN)/ruff check src tests examples

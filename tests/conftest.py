@@ -1,7 +1,10 @@
-"""Fixtures shared by all tests."""
+"""Fixtures shared by all tests; and how a run of all tests starts."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +30,27 @@ if TYPE_CHECKING:
     from neuralgrasps.model.train import TrainResult
 
 ASSETS = Path(__file__).resolve().parents[1].parent / "shared" / "assets"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give the run a home folder of its own; before all tests on many processes, compile the kernels once."""
+    if hasattr(config, "workerinput"):
+        return  # a worker process uses its parent's folder
+    home = tempfile.mkdtemp(prefix="neuralgrasps-tests-")
+    config.add_cleanup(lambda: shutil.rmtree(home, ignore_errors=True))
+    os.environ["NEURALGRASPS_HOME"] = home
+    processes = config.getoption("numprocesses", default=None) or 0
+    if processes > 1 and config.args_source is pytest.Config.ArgsSource.TESTPATHS and not config.option.collectonly:
+        from neuralgrasps.demo.compile import load_and_compile  # noqa: PLC0415 - single tests need not load it
+
+        # else every process would compile each of them, four times the work
+        for _ in load_and_compile(["gelatin_box"], workers=min(4, processes)):
+            pass
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest test first, so that no process ends with it while the others wait."""
+    items.sort(key=lambda item: "tests/demo/" not in item.path.as_posix())
 
 
 @pytest.fixture(scope="session")
