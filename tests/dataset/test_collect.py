@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import copy as copies
 import json
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
 
-from neuralgrasps.dataset.collect import collect_grasps, record_of
+from neuralgrasps.dataset.collect import collect_grasps, pair_key, record_of
 from neuralgrasps.errors import InputError, StorageError
 from neuralgrasps.geometry.primitives import box_mesh, sphere_mesh
 from neuralgrasps.grasps.grasp_io import load_grasps
+from neuralgrasps.hands.fingerprint import PROSE
+from neuralgrasps.hands.hand import ConvexPart, Finger, Hand
 from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.kinematics.tree import KinematicTree
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.sim import protocols
+from neuralgrasps.sim.protocols import Actuation, Protocol
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 CONFIG = SynthesisConfig(count=2, batch=200, max_rounds=2, niches=6, generations=1, children=2)
@@ -125,6 +132,96 @@ def test_grasps_of_something_else_are_not_taken_for_these(copy, hands, objects, 
     else:
         used = [replace(hands[0], parts=hands[0].parts[:-1])]
     assert _remade(copy, used, objs, monkeypatch, **changes) == [("ball", "panda")]
+
+
+def _changed(value):
+    """`value`, different by as little as there is."""
+    match value:
+        case np.ndarray():
+            if not value.size:
+                return np.concatenate([value, np.zeros((1, *value.shape[1:]), value.dtype)])
+            other = value.copy()
+            first = other.reshape(-1)[:1]
+            first[...] = np.nextafter(first, np.inf) if other.dtype.kind == "f" else first + 1
+            return other
+        case bool():
+            return not value
+        case int() | float():
+            return type(value)(value + 1)
+        case str():
+            return value + "x"
+        case None:
+            return (0.1, 0.2, 0.3, 1.0)
+        case tuple():
+            return (*value[:-1], _changed(value[-1])) if value else (0,)
+        case _:
+            assert is_dataclass(value)
+            return _with(value, fields(value)[0].name)
+
+
+def _with(instance, name):
+    """A copy with one field changed, past all validation."""
+    other = copies.copy(instance)
+    object.__setattr__(other, name, _changed(getattr(instance, name)))
+    return other
+
+
+def _names(kind, *without):
+    return [f.name for f in fields(kind) if f.name not in without]
+
+
+@pytest.mark.parametrize("name", _names(Hand, *PROSE))
+def test_every_field_of_the_hand_is_in_the_key(hands, objects, name):
+    key = pair_key(hands[0], objects[0], CONFIG, 1)
+    assert pair_key(replace(hands[0]), objects[0], CONFIG, 1) == key
+    assert pair_key(_with(hands[0], name), objects[0], CONFIG, 1) != key
+
+
+@pytest.mark.parametrize(
+    ("part", "name"), [(kind, n) for kind in (KinematicTree, ConvexPart, Finger) for n in _names(kind)]
+)
+def test_every_field_of_what_a_hand_is_made_of_is_in_the_key(hands, objects, part, name):
+    hand = hands[0]
+    if part is KinematicTree:
+        other = copies.copy(hand)
+        object.__setattr__(other, "tree", _with(hand.tree, name))
+    else:
+        field = "parts" if part is ConvexPart else "fingers"
+        other = replace(hand, **{field: (*getattr(hand, field)[:-1], _with(getattr(hand, field)[-1], name))})
+    assert pair_key(other, objects[0], CONFIG, 1) != pair_key(hand, objects[0], CONFIG, 1)
+
+
+@pytest.mark.parametrize("name", _names(ObjectModel, "symmetry", "provenance"))
+def test_every_field_of_the_object_is_in_the_key(hands, objects, name):
+    assert pair_key(hands[0], _with(objects[0], name), CONFIG, 1) != pair_key(hands[0], objects[0], CONFIG, 1)
+
+
+@pytest.mark.parametrize("name", _names(SynthesisConfig, "protocol"))
+def test_every_field_of_the_config_is_in_the_key(hands, objects, name):
+    assert pair_key(hands[0], objects[0], _with(CONFIG, name), 1) != pair_key(hands[0], objects[0], CONFIG, 1)
+
+
+@pytest.mark.parametrize(
+    "names", [(n,) for n in _names(Protocol)] + [(k, n) for k in ("revolute", "prismatic") for n in _names(Actuation)]
+)
+def test_every_number_of_the_protocol_is_in_the_key(hands, objects, monkeypatch, names):
+    before = pair_key(hands[0], objects[0], CONFIG, 1)
+    old = protocols.PROTOCOLS[CONFIG.protocol]
+    if len(names) == 1:
+        new = _with(old, names[0])
+    else:
+        new = replace(old, **{names[0]: _with(getattr(old, names[0]), names[1])})
+    monkeypatch.setattr(protocols, "PROTOCOLS", {**protocols.PROTOCOLS, CONFIG.protocol: new})
+    assert pair_key(hands[0], objects[0], CONFIG, 1) != before
+
+
+def test_a_moved_palm_and_a_heavier_object_remake_the_pair(copy, hands, objects, monkeypatch):
+    X_HP = hands[0].X_HP.copy()
+    X_HP[2, 3] -= 0.03
+    moved = replace(hands[0], X_HP=X_HP)
+    assert _remade(copy, [moved], objects[:1], monkeypatch) == [("ball", "panda")]
+    heavier = replace(objects[1], mass_kg=0.3)
+    assert _remade(copy, hands[:1], [heavier], monkeypatch) == [("slab", "panda")]
 
 
 def test_pairs_that_do_not_fit_are_empty_sets_with_a_reason_and_valid_json(tmp_path, hands, make_object):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
@@ -11,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import neuralgrasps
-from neuralgrasps.dataset.shards import fingerprint_of
 from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.fingerprint import fingerprint, hand_fingerprint
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.packed import pack_hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
+from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, SynthesisResult, synthesise
 
 Progress = Callable[[int, int, str], None]
@@ -76,8 +75,8 @@ def collect_grasps(
 ) -> tuple[list[GraspSet], list[PairRecord]]:
     """Grasps of every hand on every object, one file a pair.
 
-    A pair whose file is there, made from the same hand, object, config, seed and version, is read instead of
-    made again; so a run that was killed goes on where it was.
+    A pair whose file is there, made from the same hand, object, config, protocol, seed and version (`pair_key`), is
+    read instead of made again; so a run that was killed goes on where it was.
 
     Args:
         folder: gets `<object>/<hand>.safetensors` and a `.json` with the numbers beside each.
@@ -93,8 +92,9 @@ def collect_grasps(
     _check_names("hand", [hand.name for hand in hands])
     _check_names("object", [obj.name for obj in objects])
     pairs = [(hand, obj) for obj in objects for hand in hands]
-    fingerprints = {hand.name: fingerprint_of(pack_hand(hand, spacing=0.009)) for hand in hands}
-    keys = [_key(fingerprints[hand.name], obj, config, seed) for hand, obj in pairs]
+    of_hand = {hand.name: hand_fingerprint(hand) for hand in hands}
+    of_object = {obj.name: object_fingerprint(obj) for obj in objects}
+    keys = [_key(of_hand[hand.name], of_object[obj.name], config, seed) for hand, obj in pairs]
     paths = [folder / obj.name / f"{hand.name}.safetensors" for hand, obj in pairs]
     done = {i: found for i, path in enumerate(paths) if (found := _read(path, keys[i])) is not None}
     # dexterous hands take longest: first in, so that no worker ends alone
@@ -118,9 +118,21 @@ def _synthesise_pair(hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed
     return synthesise(hand, obj, config=config, seed=seed)
 
 
-def _key(hand_fingerprint: str, obj: ObjectModel, config: SynthesisConfig, seed: int) -> str:
-    parts = [neuralgrasps.__version__, hand_fingerprint, obj.content_hash, json.dumps(asdict(config)), str(seed)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+def object_fingerprint(obj: ObjectModel) -> str:
+    """sha256 (hex) over every field of an object but its symmetry and the texts about its origin.
+
+    Neither synthesis nor physics uses those; mass, centre of mass, friction and convex parts they do.
+    """
+    return fingerprint(obj, leave_out=("symmetry", "provenance"))
+
+
+def pair_key(hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int) -> str:
+    """sha256 (hex) of all that the grasps of a pair are made from, every number of the protocol included."""
+    return _key(hand_fingerprint(hand), object_fingerprint(obj), config, seed)
+
+
+def _key(of_hand: str, of_object: str, config: SynthesisConfig, seed: int) -> str:
+    return fingerprint((neuralgrasps.__version__, of_hand, of_object, config, get_protocol(config.protocol), seed))
 
 
 def _check_names(kind: str, names: Sequence[str]) -> None:
