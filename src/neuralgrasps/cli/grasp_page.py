@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -12,6 +13,7 @@ import numpy as np
 
 import neuralgrasps
 from neuralgrasps.cli.progress import ProgressBar
+from neuralgrasps.cli.terminal import counted
 from neuralgrasps.parallel import available_cpus
 from neuralgrasps.report.content import (
     ContactFigure,
@@ -21,9 +23,11 @@ from neuralgrasps.report.content import (
     Histogram,
     KeyFigure,
     SynthesisRow,
+    Table,
 )
 from neuralgrasps.report.figures import render_contact_map, render_grasp, render_hand
 from neuralgrasps.report.page import write_report
+from neuralgrasps.report.sections import pretty_name
 
 if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
@@ -32,6 +36,7 @@ if TYPE_CHECKING:
 
 SHOWN = 12
 CONTACTS_SHOWN = 4
+TOUCH_M = 0.004  # points of the object nearer than this to the hand count as touched
 
 
 def write_grasp_page(
@@ -39,12 +44,16 @@ def write_grasp_page(
     hand: Hand,
     obj: ObjectModel,
     grasps: GraspSet,
+    depth_m: np.ndarray,
     figures: Mapping[str, Any],
     *,
     command: str,
     progress: ProgressBar,
 ) -> Path:
-    """Write the page of one pair. `figures` as `pair_figures` makes them; the first, most diverse grasps are drawn."""
+    """Write the page of one pair; the first, most diverse grasps are drawn.
+
+    `depth_m`: (N,) overlaps as `measured_penetration` finds them; `figures` as `pair_figures` makes them.
+    """
     shown, maps = min(SHOWN, len(grasps)), min(CONTACTS_SHOWN, len(grasps))
     total = shown + maps + 1
     verdict = grasps.verdicts[grasps.protocol]
@@ -57,7 +66,7 @@ def write_grasp_page(
                 object=obj.name,
                 image=image,
                 epsilon=float(grasps.epsilon[i]),
-                penetration_mm=float(grasps.penetration_m[i] * 1e3),
+                penetration_mm=float(depth_m[i] * 1e3),
                 success=bool(verdict.success[i]),
                 displacement_mm=float(verdict.displacement_m[i] * 1e3),
                 note=f"grasp {i} of the file",
@@ -66,25 +75,27 @@ def write_grasp_page(
         progress(i + 1, total)
     contacts = _contact_figures(hand, obj, grasps[:maps], progress, shown, total)
     report = DemoReport(
-        title=f"{hand.name} on {obj.name}",
+        title=f"{pretty_name(hand.name)} on {pretty_name(obj.name)}",
         command=command,
-        subtitle=f"{len(grasps)} diverse grasps, each held by the physics protocol '{grasps.protocol}'.",
+        subtitle=f"{len(grasps)} diverse {'grasp' if len(grasps) == 1 else 'grasps'}, each held by the physics "
+        f"protocol '{grasps.protocol}'.",
         machine=f"{platform.system()} {platform.machine()}, {available_cpus()} cores",
         seed=grasps.seed,
         version=neuralgrasps.__version__,
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         key_figures=_key_figures(figures),
-        hands=(HandFigure(hand=hand.name, image=render_hand(hand), text=f"{hand.num_dofs} joints, {hand.licence}"),),
+        hands=(HandFigure(hand=hand.name, image=render_hand(hand), text=_hand_text(hand)),),
         grasps=tuple(cards),
         contacts=contacts,
         synthesis=(_synthesis_row(figures),),
+        tables=(_trial_table(grasps.protocol, verdict.parameters),),
         histograms=(
             Histogram(
                 title="Largest disturbance resisted", unit="epsilon", values={hand.name: np.array(grasps.epsilon)}
             ),
-            Histogram(title="Overlap", unit="mm", values={hand.name: grasps.penetration_m * 1e3}, limit=1.0),
+            Histogram(title="Overlap", unit="mm", values={hand.name: depth_m * 1e3}, limit=1.0),
         ),
-        notes=tuple(_notes(hand, obj)),
+        notes=tuple(_notes(hand, obj, verdict.parameters)),
     )
     return write_report(report, path)
 
@@ -106,7 +117,7 @@ def _contact_figures(
                 hand=hand.name,
                 object=obj.name,
                 image=render_contact_map(obj, row),
-                area_share=float((row > 0.5).mean()),
+                area_share=float((row > math.exp(-TOUCH_M / radius)).mean()),
                 note=f"grasp {i}, decay length {1e3 * radius:.1f} mm",
             )
         )
@@ -124,7 +135,7 @@ def _key_figures(figures: Mapping[str, Any]) -> tuple[KeyFigure, ...]:
         KeyFigure(
             value=f"{figures['penetration_p95_mm']:.2f} mm",
             label="overlap, 95th percentile",
-            note="against the true mesh",
+            note="of hand and object, against the true mesh",
         ),
         KeyFigure(
             value=f"{figures['grasps_per_minute']:.0f}",
@@ -148,11 +159,45 @@ def _synthesis_row(figures: Mapping[str, Any]) -> SynthesisRow:
     )
 
 
-def _notes(hand: Hand, obj: ObjectModel) -> list[str]:
+def _hand_text(hand: Hand) -> str:
+    joints = counted(hand.num_dofs, "joint")
+    return joints if hand.licence in ("", "not stated") else f"{joints}, {hand.licence}"
+
+
+def _trial_table(protocol: str, numbers: Mapping[str, float]) -> Table:
+    """Every number that decided whether a grasp held, in the units people read."""
+    facts = (
+        ("mass given to the object", "mass_kg", 1e3, "g"),
+        ("friction of hand on object", "friction", 1.0, ""),
+        ("torsional friction", "torsional_friction_m", 1e3, "mm"),
+        ("force along each axis, both ways", "force_n", 1.0, "N"),
+        ("each force lasts at most" if numbers.get("settled_speed") else "each force lasts", "hold_s", 1.0, "s"),
+        ("largest displacement", "max_displacement_m", 1e3, "mm"),
+        ("largest rotation", "max_rotation_rad", 180 / math.pi, "°"),
+        ("weakest joint, N m or N", "min_joint_effort", 1.0, ""),
+        ("strongest joint, N m or N", "max_joint_effort", 1.0, ""),
+    )
+    rows = tuple((name, f"{numbers[key] * scale:.3g} {unit}".strip()) for name, key, scale, unit in facts
+                 if key in numbers)  # fmt: skip
+    return Table(
+        title=f"The physics trial '{protocol}'",
+        columns=("what", "value"),
+        rows=rows,
+        meaning="A grasp is held when the object stays within both limits under forces along its own ±x, ±y and ±z. "
+        "The hand base is fixed and gravity is off.",
+    )
+
+
+def _notes(hand: Hand, obj: ObjectModel, trial: Mapping[str, float]) -> list[str]:
     """What was mended and guessed on the way in."""
     notes = [
         f"Hand: {line}" for key in ("repairs", "annotated") for line in hand.extra.get(key, "").splitlines() if line
     ]
-    return notes + [
-        f"Object, {k}: {v}" for k, v in obj.provenance.items() if k in ("unit", "repairs", "mass", "surface")
+    notes += [f"Object, {k}: {v}" for k, v in obj.provenance.items() if k in ("unit", "repairs", "surface")]
+    own = f"Object, its own mass: {1e3 * obj.mass_kg:.0f} g ({obj.provenance.get('mass', 'as given')})"
+    used = trial.get("mass_kg", obj.mass_kg)
+    same = math.isclose(used, obj.mass_kg, rel_tol=1e-6)
+    return [
+        *notes,
+        f"{own}; " + ("the trial used it." if same else f"the trial did not use it but {1e3 * used:.0f} g."),
     ]

@@ -16,6 +16,8 @@ from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from neuralgrasps.dataset.collect import PairRecord
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
@@ -91,7 +93,8 @@ def synthesise(
         model, obj = load_hand(hand), load_object(object_name, unit=unit, mass_kg=mass_kg)
     result, wall_s, cpu_s = _timed(terminal, model, obj, config, seed)
     grasps = result.grasps.with_config(hand_source=source_text(hand), object_source=source_text(object_name))
-    record = pair_figures(model, obj, result, config, wall_s=wall_s, cpu_s=cpu_s)
+    depth_m = _overlaps(terminal, [model], [obj], [grasps])[0]
+    record = pair_figures(result, config, depth_m, wall_s=wall_s, cpu_s=cpu_s)
     if len(grasps):
         from neuralgrasps.grasps.grasp_io import save_grasps
 
@@ -102,7 +105,7 @@ def synthesise(
             from neuralgrasps.cli.grasp_page import write_grasp_page
 
             with terminal.progress("drawing", "pictures") as bar:
-                write_grasp_page(report, model, obj, grasps, record, command=terminal.command, progress=bar)
+                write_grasp_page(report, model, obj, grasps, depth_m, record, command=terminal.command, progress=bar)
             record["report"] = str(report)
     _show_pair(terminal, record)
     return Outcome(result=record, exit_code=0 if len(grasps) else 1)
@@ -120,20 +123,38 @@ def _timed(
     return result, time.perf_counter() - wall, time.process_time() - cpu
 
 
-def pair_figures(
-    hand: Hand, obj: ObjectModel, result: SynthesisResult, config: SynthesisConfig, *, wall_s: float, cpu_s: float
-) -> dict[str, Any]:
-    """Numbers of one pair, units in the names; penetration is measured against the true mesh."""
+def _overlaps(
+    terminal: Terminal, hands: Sequence[Hand], objects: Sequence[ObjectModel], sets: Sequence[GraspSet]
+) -> list[np.ndarray]:
+    """Overlap of each grasp of each set, metres, as `evaluate` measures it; the sets name their hand and object."""
+    from neuralgrasps.evaluate.grasps import measured_penetration
+
+    by_hand, by_object = {h.name: h for h in hands}, {o.name: o for o in objects}
+    depths = []
+    with terminal.progress("measuring overlap", "pairs") as bar:
+        for i, grasps in enumerate(sets):
+            depths.append(measured_penetration(by_hand[grasps.hand], by_object[grasps.object], grasps))
+            bar(i + 1, len(sets), f"{grasps.hand} on {grasps.object}")
+    return depths
+
+
+def _p95_mm(depth_m: np.ndarray) -> float:
     import numpy as np
 
-    from neuralgrasps.evaluate.grasps import measured_penetration
+    return float(np.percentile(depth_m, 95) * 1e3) if len(depth_m) else float("nan")
+
+
+def pair_figures(
+    result: SynthesisResult, config: SynthesisConfig, depth_m: np.ndarray, *, wall_s: float, cpu_s: float
+) -> dict[str, Any]:
+    """Numbers of one pair, units in the names; `depth_m` (N,) is what `measured_penetration` found."""
+    import numpy as np
 
     grasps = result.grasps
     some = len(grasps) > 0
-    depth = measured_penetration(hand, obj, grasps) if some else np.full(1, np.nan)
     return {
-        "hand": hand.name,
-        "object": obj.name,
+        "hand": grasps.hand,
+        "object": grasps.object,
         "seed": result.seed,
         "protocol": config.protocol,
         "wanted": config.count,
@@ -145,8 +166,8 @@ def pair_figures(
         "tried_in_physics": result.tried,
         "physics_success_share": result.physics_success,
         "epsilon_median": float(np.median(grasps.epsilon)) if some else float("nan"),
-        "penetration_p95_mm": float(np.percentile(depth, 95) * 1e3),
-        "penetration_max_mm": float(depth.max() * 1e3),
+        "penetration_p95_mm": _p95_mm(depth_m),
+        "penetration_max_mm": float(depth_m.max() * 1e3) if some else float("nan"),
         "wall_s": wall_s,
         "cpu_s": cpu_s,
         "grasps_per_minute": 60 * len(grasps) / wall_s,
@@ -214,7 +235,8 @@ def _many(
             folder, list(loaded.values()), list(models.values()), config=config, seed=seed, workers=workers,
             progress=bar,
         )  # fmt: skip
-    rows = [_collected(grasps, record) for grasps, record in zip(sets, records, strict=True)]
+    depths = _overlaps(terminal, list(loaded.values()), list(models.values()), sets)
+    rows = [_collected(g, record, depth) for g, record, depth in zip(sets, records, depths, strict=True)]
     _show_many(terminal, rows)
     total = sum(r["validated"] for r in rows)
     wall_s = time.perf_counter() - wall
@@ -224,7 +246,7 @@ def _many(
     return Outcome(result=result, exit_code=0 if total else 1)
 
 
-def _collected(grasps: GraspSet, record: PairRecord) -> dict[str, Any]:
+def _collected(grasps: GraspSet, record: PairRecord, depth_m: np.ndarray) -> dict[str, Any]:
     import numpy as np
 
     some = len(grasps) > 0
@@ -238,7 +260,7 @@ def _collected(grasps: GraspSet, record: PairRecord) -> dict[str, Any]:
         "tried_in_physics": record.tried,
         "physics_success_share": record.physics_success,
         "epsilon_median": float(np.median(grasps.epsilon)) if some else float("nan"),
-        "penetration_p95_mm": float(np.percentile(grasps.penetration_m, 95) * 1e3) if some else float("nan"),
+        "penetration_p95_mm": _p95_mm(depth_m),
         "cpu_s": record.cpu_s,
         "reason": record.reason,
     }
