@@ -222,6 +222,12 @@ def test_files_of_another_kind_or_version_are_refused(tmp_path, monkeypatch):
         load_grasps(tmp_path / "missing.safetensors")
 
 
+def test_equal_grasps_make_equal_files(tmp_path):
+    first = save_grasps(tmp_path / "first.safetensors", make_grasps()).read_bytes()
+    for _ in range(8):  # the order of the description's keys must not be left to chance
+        assert save_grasps(tmp_path / "again.safetensors", make_grasps()).read_bytes() == first
+
+
 def test_a_well_formed_file_with_inconsistent_arrays_is_refused(tmp_path):
     path = tmp_path / "set.safetensors"
     save_grasps(path, make_grasps())

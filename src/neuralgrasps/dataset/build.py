@@ -23,7 +23,6 @@ from neuralgrasps.dataset.schema import (
 )
 from neuralgrasps.dataset.shards import ShardFiles, ShardTask, build_shard, fingerprint_of, write_grasps
 from neuralgrasps.dataset.splits import split_grasps
-from neuralgrasps.dataset.tensor_files import tensor_bytes
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet
@@ -31,6 +30,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import pack_hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
+from neuralgrasps.tensor_files import tensor_bytes
 
 HAND_POINT_SPACING_M = 0.006  # of the packed hand; SDF samples do not depend on it
 

@@ -14,13 +14,13 @@ from safetensors.numpy import load
 
 from neuralgrasps.dataset.samples import Normalisation, SdfSamples, contact_maps, sample_scenes
 from neuralgrasps.dataset.schema import SCHEMA_VERSION, DatasetConfig, sha256_of_file
-from neuralgrasps.dataset.tensor_files import canonical_bytes, tensor_bytes
 from neuralgrasps.errors import DataFormatError
 from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.grasps.grasp_io import save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.packed import PackedHand
+from neuralgrasps.tensor_files import tensor_bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +96,6 @@ def write_grasps(folder: Path, grasps: GraspSet) -> str:
     path = folder / shard_paths(grasps.hand, grasps.object)[0]
     path.parent.mkdir(parents=True, exist_ok=True)
     save_grasps(path, grasps)
-    write_whole(path, canonical_bytes(path.read_bytes()))
     return sha256_of_file(path)
 
 

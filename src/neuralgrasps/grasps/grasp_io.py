@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
-from safetensors.numpy import load, save
+from safetensors.numpy import load
 
 from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, array_fields
+from neuralgrasps.tensor_files import tensor_bytes
 
 FORMAT = "neuralgrasps.grasp_set"
 VERSION = 1
@@ -22,7 +23,7 @@ _VERDICT_ARRAYS = ("success", "displacement_m", "rotation_rad")
 
 
 def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
-    """Write `grasps` to `path`, replacing what is there only once the new file is complete.
+    """Write `grasps` to `path`, replacing what is there only once the new file is complete; equal sets, equal bytes.
 
     Returns:
         the path written.
@@ -51,8 +52,7 @@ def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
         "description": description,
         "sha256": _checksum(arrays, description),
     }
-    data = save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata)
-    return write_whole(path, data, make_folder=False)
+    return write_whole(path, tensor_bytes(arrays, metadata), make_folder=False)
 
 
 def load_grasps(path: str | os.PathLike[str]) -> GraspSet:

@@ -15,7 +15,6 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 
 import neuralgrasps
-from neuralgrasps.dataset.tensor_files import tensor_bytes
 from neuralgrasps.errors import DataFormatError, unknown_name
 from neuralgrasps.files import write_whole
 from neuralgrasps.hands.hand import Hand
@@ -23,6 +22,7 @@ from neuralgrasps.model.codes import CODE_SIZE, CodeBook, HandCodec, ObjectCodec
 from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField
 from neuralgrasps.model.train import TrainConfig, TrainResult
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.tensor_files import tensor_bytes
 
 VERSION = 1
 RUN_FILE, FIELD_FILE, CODES_FILE = "run.json", "field.safetensors", "codes.safetensors"

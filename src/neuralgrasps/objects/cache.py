@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import platformdirs
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save
 
 from neuralgrasps.errors import StorageError
 from neuralgrasps.files import write_whole
+from neuralgrasps.tensor_files import tensor_bytes
 
 CACHE_VERSION = "3"  # raise it when what is computed from a mesh changes
 
@@ -48,9 +48,8 @@ def read_cache(key: str) -> tuple[dict[str, np.ndarray], dict[str, str]] | None:
 
 def write_cache(key: str, arrays: Mapping[str, np.ndarray], notes: Mapping[str, str]) -> str | None:
     """Store arrays and notes under `key`. Returns None, or why nothing could be stored."""
-    data = save({k: np.ascontiguousarray(v) for k, v in arrays.items()}, metadata=dict(notes))
     try:
-        write_whole(_cache_file(key), data)
+        write_whole(_cache_file(key), tensor_bytes(arrays, notes))
     except StorageError as error:
         return f"not cached: {error}"
     return None

@@ -12,11 +12,11 @@ from safetensors.numpy import save
 def tensor_bytes(arrays: Mapping[str, np.ndarray], metadata: Mapping[str, str] | None = None) -> bytes:
     """A safetensors file as bytes; equal inputs give equal bytes."""
     contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    return canonical_bytes(save(contiguous, metadata=dict(metadata) if metadata else None))
+    return _with_sorted_metadata(save(contiguous, metadata=dict(metadata) if metadata else None))
 
 
-def canonical_bytes(data: bytes) -> bytes:
-    """The same safetensors file with its header's metadata in sorted order (the writer's order is random)."""
+def _with_sorted_metadata(data: bytes) -> bytes:
+    # the writer's order is random
     size = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + size])
     if "__metadata__" in header:
