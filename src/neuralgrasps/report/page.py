@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from html import escape
+from importlib.resources import files
 from pathlib import Path
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.report.content import DemoReport, KeyFigure
-from neuralgrasps.report.page_style import page_css, page_script
+from neuralgrasps.report.palette import contact_gradient
 from neuralgrasps.report.sections import (
     PictureEncoder,
     contacts_section,
@@ -106,11 +107,21 @@ def _page(report: DemoReport, pictures: PictureEncoder) -> str:
         '<!DOCTYPE html>\n<html lang="en" xmlns="http://www.w3.org/1999/xhtml"><head><meta charset="utf-8"/>'
         '<meta name="viewport" content="width=device-width, initial-scale=1"/>'
         f'<meta http-equiv="Content-Security-Policy" content="{csp}"/>'
-        f"<title>{escape(report.title)}</title><style>{page_css()}</style></head><body>"
+        f"<title>{escape(report.title)}</title><style>{_page_css()}</style></head><body>"
         f"{_hero(report)}<nav aria-label='Sections'><div>{links}</div></nav><main>{body}</main>{_footer(report)}"
         '<dialog id="zoom" aria-label="Enlarged picture"><div><img alt=""/></div><p></p></dialog>'
-        f"<script>{page_script()}</script></body></html>\n"
+        # the script holds neither < nor &, so that the page is XML too
+        f"<script>{_asset('page.js')}</script></body></html>\n"
     )
+
+
+def _page_css() -> str:
+    """The style sheet, with the contact colour scale that the pictures use."""
+    return f":root {{ --contact-scale: {contact_gradient()}; }}\n" + _asset("page.css")
+
+
+def _asset(name: str) -> str:
+    return (files("neuralgrasps") / "assets" / "report" / name).read_text(encoding="utf-8")
 
 
 def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, str, str]]:
