@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import igl
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import ConvexHull, QhullError
 
 from neuralgrasps.errors import MeshError
 from neuralgrasps.geometry.mesh import Mesh, is_manifold
@@ -78,7 +78,7 @@ def _halve_lossy(pieces: Sequence[Piece]) -> list[Piece]:
 def _hull(points: np.ndarray) -> ConvexHull:
     try:
         return ConvexHull(points)
-    except Exception as error:
+    except QhullError as error:
         raise MeshError("the mesh is flat; expected a surface that encloses a volume.") from error
 
 
