@@ -1,7 +1,7 @@
 """Compare grasps of different hands by where they touch: python examples/02_contact_maps.py.
 
-The contact map gives every surface point a closeness to the hand, 1 where it touches. Maps of different hands live on the
-same object points, so they can be compared directly. This is what the latent space is built on.
+The contact map gives every surface point a closeness to the hand, 1 where it touches. Maps of different hands live on
+the same object points, so they can be compared directly. This is what the latent space is built on.
 """
 
 import numpy as np

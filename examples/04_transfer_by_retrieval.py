@@ -1,7 +1,8 @@
 """The nearest grasps of other hands, for a grasp seen only as points: python examples/04_transfer_by_retrieval.py.
 
-Makes grasps of three hands, a data set and a field in ./transfer_example (again in seconds when it is there), then asks: a human hand was
-seen holding the can, as unlabelled surface points. Which Fetch and Allegro grasps touch it the same way?
+Makes grasps of three hands, a data set and a field in ./transfer_example (again in seconds when it is there), then
+asks: a human hand was seen holding the can, as unlabelled surface points. Which Fetch and Allegro grasps touch it the
+same way?
 """
 
 from pathlib import Path
@@ -32,7 +33,8 @@ def main() -> None:
     for name in ("fetch", "allegro"):
         found = ng.retrieve(code, trained.codebook, object_name=obj.name, hand=name, count=3)
         rows = [int(trained.codebook.grasp_index[i]) for i in found.index[0]]
-        print(f"human grasp {query} is most like {name} grasps {rows}, contact maps off by {found.map_distance[0].round(3)}")
+        off = found.map_distance[0].round(3)
+        print(f"human grasp {query} is most like {name} grasps {rows}, contact maps off by {off}")
 
 
 if __name__ == "__main__":  # worker processes import this file
