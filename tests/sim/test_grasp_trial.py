@@ -1,7 +1,8 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.sim.grasp_trial import GraspTrial, prescreen, validate_grasps
+from neuralgrasps.sim.grasp_trial import GraspTrial, prescreen, validate_grasps, verdict_parameters
 from neuralgrasps.sim.protocols import Actuation, Protocol, get_protocol
 from neuralgrasps.sim.replay import trial_trajectory
 
@@ -171,6 +172,37 @@ def test_verdict_states_its_conditions(hand: Hand, box: ObjectModel) -> None:
     assert parameters("dexgraspbench-hard")["friction"] == pytest.approx(0.3)
     shaken = parameters("shake")
     assert shaken["mass_kg"] == box.mass_kg and shaken["min_joint_effort"] == 20.0
+
+
+def _numbers() -> list[tuple[str, int]]:
+    """Every number of a protocol: its field, and its place in it."""
+    sizes = {f.name: _size(getattr(DEX, f.name)) for f in fields(Protocol) if f.name != "name"}
+    return [(name, k) for name, size in sizes.items() for k in range(size)]
+
+
+def _size(value: object) -> int:
+    if isinstance(value, tuple):
+        return len(value)
+    return len(fields(value)) if isinstance(value, Actuation) else 1
+
+
+def _raised(value: Any, k: int) -> Any:
+    if isinstance(value, tuple):
+        return (*value[:k], 1.5 * value[k], *value[k + 1 :])
+    if isinstance(value, Actuation):
+        name = fields(value)[k].name
+        return replace(value, **{name: 1.5 * getattr(value, name)})
+    return (not value) if isinstance(value, bool) else type(value)(2 * value + 1)
+
+
+@pytest.mark.parametrize(("name", "k"), _numbers())
+def test_every_number_of_the_protocol_is_in_the_verdict(hand: Hand, box: ObjectModel, name: str, k: int) -> None:
+    before = verdict_parameters(hand, box, DEX)
+    after = verdict_parameters(hand, box, replace(DEX, **{name: _raised(getattr(DEX, name), k)}))
+    assert list(after) == list(before) and all(isinstance(v, float) for v in after.values())
+    changed = {key for key in after if after[key] != before[key]}
+    key = {"object_mass_kg": "mass_kg"}.get(name, name)
+    assert any(c.startswith(key) for c in changed), changed
 
 
 @pytest.mark.parametrize("cause", ["target is not a number", "servo too stiff for the timestep"])

@@ -18,6 +18,7 @@ from neuralgrasps.sim.protocols import Actuation, Protocol
 
 OBJECT_BODY = "object"
 OBJECT_JOINT = "object"
+CONTACT_DIMENSIONS = 4  # normal force, two of sliding friction, torsion: MuJoCo's condim
 
 _HAND_BIT, _OBJECT_BIT = 1, 2
 _LINK_DENSITY = 1000.0  # kg/m^3; with gravity off and motors' armature on top it hardly matters
@@ -247,7 +248,7 @@ def _add_hull(spec: mujoco.MjSpec, name: str, vertices: np.ndarray) -> str:
 
 
 def _set_contact(geom: mujoco.MjsGeom, protocol: Protocol, friction: tuple[float, float, float]) -> None:
-    geom.condim = 4
+    geom.condim = CONTACT_DIMENSIONS
     geom.friction = friction
     geom.solref = protocol.solref
     geom.solimp = [*protocol.solimp, 0.5, 2.0]

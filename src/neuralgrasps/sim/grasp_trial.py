@@ -24,6 +24,7 @@ from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.sim.build import (
+    CONTACT_DIMENSIONS,
     OBJECT_BODY,
     OBJECT_JOINT,
     contact_friction,
@@ -290,7 +291,7 @@ def validate_grasps(
         stop_after: stop after this many successes. The verdict then has one row per grasp *tried*: it belongs to
             `grasps[:len(verdict.success)]`.
     Returns:
-        The verdict; its parameters state mass, friction, force and torque limits.
+        The verdict; its parameters are `verdict_parameters`: mass, friction, forces, limits, every protocol number.
     Raises:
         InputError: `grasps` is of another hand or object. ShapeError: wrong number of joints.
         UnknownNameError: no such preset.
@@ -339,7 +340,11 @@ def prescreen(
 
 
 def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -> dict[str, float]:
-    """Every number a success rate must be quoted with, SI units, unit in the key."""
+    """Every number a success rate must be quoted with: the hand's, the object's and all of the protocol.
+
+    SI units, named in the key, except for pure numbers; `settled_speed` is both m/s and rad/s. Mass and frictions are
+    those used in the trial, after `object_mass_kg`, `friction` and `friction_scale`. Switches are 1 or 0.
+    """
     protocol = get_protocol(protocol)
     mass = object_mass(obj, protocol)
     sliding, torsional, rolling = contact_friction(obj, protocol)
@@ -347,6 +352,7 @@ def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -
     return {
         "mass_kg": mass,
         "friction": sliding,
+        "friction_scale": protocol.friction_scale,
         "torsional_friction_m": torsional,
         "rolling_friction_m": rolling,
         "force_n": mass * protocol.force_per_mass,
@@ -355,13 +361,29 @@ def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -
         "max_joint_effort": float(effort.max()),
         "drive_s": protocol.drive_s,
         "hold_s": protocol.hold_s,
+        "from_reset": float(protocol.from_reset),
         "max_displacement_m": protocol.max_displacement_m,
         "max_rotation_rad": protocol.max_rotation_rad,
         "max_start_penetration_m": protocol.max_start_penetration_m,
-        "timestep_s": protocol.timestep_s,
+        "check_every_steps": float(protocol.check_every),
         "settled_speed": protocol.settled_speed,
-        "revolute_kp": protocol.revolute.kp,
-        "prismatic_kp": protocol.prismatic.kp,
+        "revolute_kp_n_m_per_rad": protocol.revolute.kp,
+        "revolute_kv_n_m_s_per_rad": protocol.revolute.kv,
+        "revolute_armature_kg_m2": protocol.revolute.armature,
+        "prismatic_kp_n_per_m": protocol.prismatic.kp,
+        "prismatic_kv_n_s_per_m": protocol.prismatic.kv,
+        "prismatic_armature_kg": protocol.prismatic.armature,
+        "timestep_s": protocol.timestep_s,
+        "noslip_iterations": float(protocol.noslip_iterations),
+        "solref_time_constant_s": protocol.solref[0],
+        "solref_damping_ratio": protocol.solref[1],
+        "solimp_lowest_impedance": protocol.solimp[0],
+        "solimp_highest_impedance": protocol.solimp[1],
+        "solimp_width_m": protocol.solimp[2],
+        "impratio": protocol.impratio,
+        "solver_iterations": float(protocol.solver_iterations),
+        "condim": float(CONTACT_DIMENSIONS),
+        "multiccd": float(protocol.multiccd),
     }
 
 
