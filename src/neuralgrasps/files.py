@@ -61,6 +61,8 @@ def storage_reason(error: OSError, path: Path, size: int) -> str:
         return f"no permission to write in '{path.parent}'; choose a folder you may write to."
     if error.errno in (errno.ENOTDIR, errno.EEXIST, errno.EISDIR):
         return "the path runs through a file or names a folder; choose another path."
+    if error.errno == errno.ENOENT and path.parent.is_dir():
+        return f"'{path.parent}' takes no new files (a system folder?); choose another folder."
     if error.errno == errno.ENOENT:
-        return f"the folder '{path.parent}' does not exist; create it first."
+        return f"the folder '{path.parent}' does not exist and cannot be made; choose another folder."
     return f"{error.strerror or error}."

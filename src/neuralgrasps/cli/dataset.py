@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from neuralgrasps.cli.models import SOURCES_FILE, open_hands, open_objects, read_sources, source_text, write_sources
+from neuralgrasps.cli.models import (
+    SOURCES_FILE,
+    open_hands,
+    open_objects,
+    read_sources,
+    source_text,
+    warn_of_damage,
+    write_sources,
+)
 from neuralgrasps.cli.options import Folder, Names, PositionalFolder, Unit, Workers
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
@@ -62,6 +70,7 @@ def build(
     with terminal.progress("reading hands and objects"):
         hand_models = open_hands(list(hand_specs.values()))
         object_models = open_objects(list(object_specs.values()), unit=unit)
+    warn_of_damage(terminal, object_models.values())
     terminal.kept = f"Finished pairs are kept in '{out}'; the same command goes on from there."
     start = time.perf_counter()
     with terminal.progress("building", "pairs") as bar:

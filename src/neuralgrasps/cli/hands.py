@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from neuralgrasps.cli.options import File, NamePath, OptionalFile
+from neuralgrasps.cli.options import NamePath, OptionalFile
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal
 
@@ -44,24 +44,38 @@ def show_hand(terminal: Terminal, name: NamePath, /, *, picture: OptionalFile = 
     return _described(terminal, hand, picture)
 
 
-def check_hand(terminal: Terminal, path: NamePath, /, *, picture: File = Path("hand_check.png")) -> Outcome:
-    """Read any URDF or MJCF file as a hand: what was mended, what was derived, and a picture.
+def check_hand(
+    terminal: Terminal,
+    path: NamePath,
+    /,
+    *,
+    picture: OptionalFile = None,
+    missing_meshes: Literal["error", "skip"] = "error",
+) -> Outcome:
+    """Read any URDF or MJCF file as a hand: what was mended, what was derived, and, if asked for, a picture.
 
     A `hand.toml` or `<file>.toml` beside the file overrides whatever was derived.
 
     Args:
         path: a URDF or MJCF file, or a folder with one.
         picture: PNG file for the hand, open on the left and half closed on the right.
+        missing_meshes: skip leaves out link shapes whose mesh files are missing.
     """
     from neuralgrasps.hands.zoo import load_hand
 
-    check_writable(picture)
-    hand = load_hand(Path(path) if Path(path).exists() else path)
+    if picture is not None:
+        check_writable(picture)
+    hand = load_hand(Path(path) if Path(path).exists() else path, missing_meshes=missing_meshes)
     outcome = _described(terminal, hand, picture)
     repairs, derived = lines_of(hand, "repairs"), lines_of(hand, "annotated")
     terminal.notes(repairs, title="\nMended:")
     terminal.notes(derived, title="\nDerived:")
-    terminal.say(f"\n'{hand.name}' can be used: neuralgrasps synthesise --hand {path} --object mustard_bottle")
+    if picture is None:
+        terminal.say("\nSee it open and half closed: add --picture hand.png")
+    if missing_meshes == "skip" and any("left out" in line for line in repairs):
+        terminal.say(f"\n'{hand.name}' lacks the shapes left out above; put their meshes there before you use it.")
+    else:
+        terminal.say(f"\n'{hand.name}' can be used: neuralgrasps synthesise --hand {path} --object mustard_bottle")
     return Outcome(result={**outcome.result, "repairs": repairs, "derived": derived})
 
 
@@ -76,6 +90,7 @@ def _described(terminal: Terminal, hand: Hand, picture: Path | None) -> Outcome:
     terminal.say(hand.name)
     terminal.facts([*facts, ("source", " ".join(hand.provenance.split()))])
     terminal.table(("joint", "unit", "lower", "upper", "open", "closes", "finger"), _joint_rows(hand))
+    terminal.notes(followers(hand), title="Joints that follow another:")
     if picture is not None:
         save_hand_picture(hand, picture)
         terminal.say(f"Picture: {picture}")
@@ -100,6 +115,7 @@ def hand_record(hand: Hand) -> dict[str, Any]:
     return {
         "name": hand.name,
         "joints": joints,
+        "following_joints": followers(hand),
         "fingers": [
             {"name": f.name, "links": [hand.tree.link_names[i] for i in f.links], "is_thumb": f.is_thumb}
             for f in hand.fingers
@@ -118,6 +134,24 @@ def _dof_types(hand: Hand) -> np.ndarray:
 
     tree = hand.tree
     return np.array([tree.joint_types[int(np.flatnonzero(tree.coupling[:, d])[0])] for d in range(tree.num_dofs)])
+
+
+def followers(hand: Hand) -> list[str]:
+    """One line for each joint that has no value of its own: "right = left"."""
+    import numpy as np
+
+    from neuralgrasps.kinematics.tree import FIXED
+
+    tree = hand.tree
+    lines = []
+    for link, name in enumerate(tree.joint_names):
+        if tree.joint_types[link] == FIXED or name in tree.dof_names:
+            continue
+        moving = [(float(tree.coupling[link, d]), tree.dof_names[d]) for d in np.flatnonzero(tree.coupling[link])]
+        terms = [driver if factor == 1 else f"{factor:.4g} x {driver}" for factor, driver in moving]
+        terms += [f"{tree.offset[link]:.4g}"] if tree.offset[link] else []
+        lines.append(f"{name} = {' + '.join(terms) or 'fixed at 0'}")
+    return lines
 
 
 def _joint_rows(hand: Hand) -> list[tuple[Any, ...]]:

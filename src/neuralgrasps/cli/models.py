@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ from neuralgrasps.errors import DataFormatError, InputError, NeuralGraspsError
 from neuralgrasps.files import write_whole
 
 if TYPE_CHECKING:
+    from neuralgrasps.cli.terminal import Terminal
     from neuralgrasps.dataset.read import GraspDataset
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
@@ -34,15 +35,26 @@ def open_hands(specs: Sequence[str]) -> dict[str, Hand]:
     return _by_name("hand", specs, [load_hand(spec) for spec in specs])
 
 
-def open_objects(specs: Sequence[str], *, unit: str = "auto") -> dict[str, ObjectModel]:
-    """Objects by their own names, in the order given; `unit` is of mesh files.
+def open_objects(specs: Sequence[str], *, unit: str = "auto", mass_kg: float | None = None) -> dict[str, ObjectModel]:
+    """Objects by their own names, in the order given; `unit` is of mesh files, `mass_kg` of each (None: its own).
 
     Raises:
         InputError: two of them have the same name.
     """
     from neuralgrasps.objects.zoo import load_object
 
-    return _by_name("object", specs, [load_object(spec, unit=unit) for spec in specs])  # type: ignore[arg-type]
+    return _by_name("object", specs, [load_object(spec, unit=unit, mass_kg=mass_kg) for spec in specs])  # type: ignore[arg-type]
+
+
+def warn_of_damage(terminal: Terminal, objects: Iterable[ObjectModel]) -> None:
+    """A line on stderr for each object whose file had vertices or faces that had to be dropped."""
+    for obj in objects:
+        repairs = obj.provenance.get("repairs", "").split("; ")
+        damage = [line for line in repairs if "finite" in line]
+        if damage:
+            terminal.complain(
+                f"warning: '{obj.name}': {'; '.join(damage)}. Its surface may have holes; export it again."
+            )
 
 
 def _by_name(kind: str, specs: Sequence[str], models: Sequence[Any]) -> dict[str, Any]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from neuralgrasps.cli.models import warn_of_damage
 from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalFloat, OptionalText, Unit
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal
@@ -53,6 +54,7 @@ def show_object(
         check_writable(picture)
     with terminal.progress("reading the object"):
         obj = load_object(name, unit=unit, mass_kg=mass_kg)
+    warn_of_damage(terminal, [obj])
     terminal.say(obj.name)
     terminal.facts(_facts(obj))
     if picture is not None:
@@ -89,6 +91,7 @@ def import_mesh(
     with terminal.progress("reading the mesh"):
         known = import_object(path, name, unit, licence=licence, replace=replace)
         obj = load_object(known)
+    warn_of_damage(terminal, [obj])
     terminal.say(f"imported as '{known}'")
     terminal.facts(_facts(obj))
     return Outcome(result=object_record(obj))

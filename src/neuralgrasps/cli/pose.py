@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from neuralgrasps.cli.models import warn_of_damage
 from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalFloat, Unit
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal
@@ -77,6 +78,7 @@ def pose(
         points = _cloud_points(cloud, cloud_scale)
     with terminal.progress("reading the object"):
         obj = load_object(object_name, unit=unit)
+    warn_of_damage(terminal, [obj])
     _check_extent(obj, points)
     start = time.perf_counter()
     with terminal.progress("searching"):

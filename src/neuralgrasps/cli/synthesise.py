@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from neuralgrasps.cli.models import open_hands, open_objects, source_text, write_sources
-from neuralgrasps.cli.options import AllNames, File, Folder, OptionalFile, OptionalFloat, OptionalText, Unit, Workers
+from neuralgrasps.cli.models import open_hands, open_objects, source_text, warn_of_damage, write_sources
+from neuralgrasps.cli.options import AllNames, Folder, OptionalFile, OptionalFloat, OptionalText, Unit, Workers
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, SynthesisResult
 
 OUT = Path("grasps.safetensors")
+OutFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint=f"(default: {OUT})")]
 
 
 def synthesise(
@@ -36,7 +37,7 @@ def synthesise(
     count: int = 60,
     seed: int = 0,
     protocol: str = "dexgraspbench",
-    out: File = OUT,
+    out: OutFile = None,
     report: OptionalFile = None,
     unit: Unit = "auto",
     mass_kg: OptionalFloat = None,
@@ -61,7 +62,7 @@ def synthesise(
         out: file for the grasps of one pair.
         report: HTML page with pictures of the grasps of one pair.
         unit: length unit of mesh files; auto takes over 3 units for mm.
-        mass_kg: mass of the object, for the protocols that use it.
+        mass_kg: mass of every object, for the protocols that use it.
         max_rounds: rounds of a few thousand start poses before giving up.
         every: every hand on every object, to a folder.
         hands: with --all, these hands.
@@ -77,12 +78,19 @@ def synthesise(
     if every or hands or objects:
         if hand is not None or object_name is not None:
             raise InputError("--hand and --object make one pair; --all, --hands and --objects many. Choose one way.")
-        return _many(terminal, hands, objects, config=config, seed=seed, folder=out_dir, workers=workers, unit=unit)
+        ignored = [name for name, given in (("--out", out), ("--report", report)) if given is not None]
+        if ignored:
+            raise InputError(f"{' and '.join(ignored)} is of one pair; many pairs go into the folder --out-dir.")
+        return _many(
+            terminal, hands, objects,
+            config=config, seed=seed, folder=out_dir, workers=workers, unit=unit, mass_kg=mass_kg,
+        )  # fmt: skip
     if hand is None or object_name is None:
         missing = " and ".join(n for n, v in (("--hand", hand), ("--object", object_name)) if v is None)
         raise InputError(
             f"{missing} is missing; expected --hand NAME|FILE --object NAME|FILE, or --all for every pair."
         )
+    out = out or OUT
     for path in (out, report):
         if path is not None:
             check_writable(path)
@@ -91,6 +99,7 @@ def synthesise(
         from neuralgrasps.objects.zoo import load_object
 
         model, obj = load_hand(hand), load_object(object_name, unit=unit, mass_kg=mass_kg)
+    warn_of_damage(terminal, [obj])
     result, wall_s, cpu_s = _timed(terminal, model, obj, config, seed)
     grasps = result.grasps.with_config(hand_source=source_text(hand), object_source=source_text(object_name))
     depth_m = _overlaps(terminal, [model], [obj], [grasps])[0]
@@ -212,6 +221,7 @@ def _many(
     folder: Path,
     workers: int | None,
     unit: str,
+    mass_kg: float | None,
 ) -> Outcome:
     from neuralgrasps.dataset.collect import collect_grasps
     from neuralgrasps.hands.zoo import hand_names
@@ -222,7 +232,8 @@ def _many(
         raise InputError(f"--workers is {workers}; expected at least 1.")
     hand_specs, object_specs = tuple(hands) or hand_names(), tuple(objects) or object_names()
     with terminal.progress("reading hands and objects"):
-        loaded, models = open_hands(hand_specs), open_objects(object_specs, unit=unit)
+        loaded, models = open_hands(hand_specs), open_objects(object_specs, unit=unit, mass_kg=mass_kg)
+    warn_of_damage(terminal, models.values())
     write_sources(
         folder,
         hands=dict(zip(loaded, map(source_text, hand_specs), strict=True)),

@@ -97,7 +97,7 @@ def _scale(vertices: NDArray[np.float64], unit: LengthUnit, repairs: list[str]) 
     extent = float(np.ptp(vertices, axis=0).max())
     if extent <= _LARGEST_PLAUSIBLE_M:
         return 1.0
-    repairs.append(f"took the file's unit for mm, since its largest extent is {extent:.4g}; pass unit= if it is not")
+    repairs.append(f"took the file's unit for mm, since its largest extent is {extent:.4g}; give the unit if it is not")
     return _METRES["mm"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 from neuralgrasps.errors import RobotDescriptionError, unknown_name
 from neuralgrasps.hands.hand import Hand
@@ -15,6 +16,7 @@ from neuralgrasps.kinematics.mjcf import load_mjcf
 from neuralgrasps.kinematics.safe_xml import read_xml
 from neuralgrasps.kinematics.urdf import load_urdf
 
+MissingMeshes = Literal["error", "skip"]
 _HANDS = ("fetch", "panda", "barrett", "allegro", "human")
 
 
@@ -34,7 +36,7 @@ def hand_folder(name: str) -> Path:
     return Path(str(resources.files("neuralgrasps"))) / "assets" / "hands" / name
 
 
-def load_hand(name_or_path: str | Path) -> Hand:
+def load_hand(name_or_path: str | Path, *, missing_meshes: MissingMeshes = "error") -> Hand:
     """A built-in hand by name, or any hand from a URDF or MJCF file.
 
     A file is annotated automatically (palm, fingers, closing directions, preshapes). A `hand.toml`, or `<file>.toml`,
@@ -42,6 +44,7 @@ def load_hand(name_or_path: str | Path) -> Hand:
 
     Args:
         name_or_path: a name of `hand_names()`, or a path to a .urdf or .xml file or a folder with one.
+        missing_meshes: "skip" leaves out link shapes of a URDF whose mesh files are missing or unreadable.
     Raises:
         UnknownNameError: neither a known name nor a file.
         RobotDescriptionError: the file cannot be used as a hand.
@@ -52,7 +55,7 @@ def load_hand(name_or_path: str | Path) -> Hand:
     if path.is_dir():
         path = _only_robot_file(path)
     if path.is_file():
-        return _load_file(path)
+        return _load_file(path, missing_meshes)
     raise _not_found(str(name_or_path))
 
 
@@ -75,8 +78,8 @@ def _only_robot_file(folder: Path) -> Path:
     return found[0]
 
 
-def _load_file(path: Path) -> Hand:
-    return hand_from_description(load_robot(path), _notes_beside(path))
+def _load_file(path: Path, missing_meshes: MissingMeshes = "error") -> Hand:
+    return hand_from_description(load_robot(path, missing_meshes=missing_meshes), _notes_beside(path))
 
 
 def _notes_beside(path: Path) -> HandNotes | None:
@@ -86,8 +89,8 @@ def _notes_beside(path: Path) -> HandNotes | None:
     return None
 
 
-def load_robot(path: str | Path) -> RobotDescription:
-    """Read a URDF or MJCF file, told apart by the root tag of its XML.
+def load_robot(path: str | Path, *, missing_meshes: MissingMeshes = "error") -> RobotDescription:
+    """Read a URDF or MJCF file, told apart by the root tag of its XML; `missing_meshes` as for `load_hand`.
 
     Raises:
         RobotDescriptionError: the file is neither, or cannot be used.
@@ -95,7 +98,7 @@ def load_robot(path: str | Path) -> RobotDescription:
     path = Path(path)
     root = read_xml(path, root_tag=None, kind="robot").tag
     if root == "robot":
-        return load_urdf(path)
+        return load_urdf(path, missing_meshes=missing_meshes)
     if root == "mujoco":
         return load_mjcf(path)
     raise RobotDescriptionError(f"'{path.name}' has the root tag <{root}>; expected <robot> (URDF) or <mujoco> (MJCF).")

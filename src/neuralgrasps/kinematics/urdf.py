@@ -133,7 +133,10 @@ class _Reader:
         else:
             visual = []
         if problems and not visual and not self.skip_missing:
-            raise self.fail(f"link '{name}': {problems[0]} To read it without the mesh, pass missing_meshes=\"skip\".")
+            raise self.fail(
+                f"link '{name}': {problems[0]} Put the mesh there; 'hands check "
+                "--missing-meshes skip', or missing_meshes='skip' in Python, reads the hand without it."
+            )
         self.notes.extend(f"link '{name}': {p} The collision shape was left out." for p in problems)
         yield from collision
         yield from visual

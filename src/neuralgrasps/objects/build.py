@@ -21,6 +21,7 @@ _MAX_CELLS = 128
 _FINEST_SPACING_M = 0.001  # finer cells than this cost seconds and change distances by less than 0.1 mm
 _PADDING_M = 0.02
 _DENSITY_KG_M3 = 500.0
+_SMALLEST_M, _LARGEST_M = 0.005, 3.0
 _MASS_RANGE_KG = (0.05, 1.5)
 
 
@@ -41,11 +42,12 @@ def object_from_mesh(
         friction: Coulomb coefficient against a finger pad, > 0.
         provenance: source, licence, ...; this function adds what it measured and guessed.
     Raises:
-        MeshError: the mesh encloses no volume.
+        MeshError: the mesh encloses no volume, or is far too small or large for a hand (5 mm to 3 m is meant).
         InputError: mass or friction is not a positive number.
     """
     _check_positive("mass_kg", mass_kg)
     _check_positive("friction", friction)
+    check_size(name, mesh)
     mass = mass_properties(mesh)
     if not mass.volume > 0:
         raise MeshError(
@@ -62,6 +64,7 @@ def object_from_mesh(
     content = mesh.content_hash()
     derived, cache_note = _derived(mesh, content)
     notes.update(derived.notes)
+    notes["symmetry"] = _symmetry_note(derived.symmetry)
     if cache_note:
         notes["cache"] = cache_note
     return ObjectModel(
@@ -78,6 +81,17 @@ def object_from_mesh(
         content_hash=content,
         provenance=notes,
     )
+
+
+def check_size(name: str, mesh: Mesh) -> None:
+    """Raise `MeshError` for a mesh whose length unit must be wrong, before its distances are put on a grid."""
+    longest = float(mesh.extents.max())
+    if not _SMALLEST_M <= longest <= _LARGEST_M:
+        size = f"{longest * 1e3:.3g} mm" if longest < 1.0 else f"{longest:.4g} m"
+        raise MeshError(
+            f"object '{name}' measures {size}; expected {_SMALLEST_M * 1e3:g} mm to {_LARGEST_M:g} m. Give the file's "
+            "length unit (m, mm, cm or inch; --unit on the command line, unit= in Python)."
+        )
 
 
 def _check_positive(name: str, value: float | None) -> None:
@@ -119,7 +133,7 @@ def _compute(mesh: Mesh) -> _Derived:
     points, normals = surface_points(mesh, _NUM_POINTS)
     parts = make_convex_parts(mesh, sdf)
     symmetry = find_symmetry(points, sdf)
-    notes = {**_part_notes(parts), "symmetry": _symmetry_note(symmetry)}
+    notes = _part_notes(parts)
     if not is_closed(mesh):
         notes["surface"] = "open: inside is decided by the winding number, the volume is approximate"
     return _Derived(sdf, points, normals, parts.vertices, symmetry, notes)
@@ -147,6 +161,8 @@ def _part_notes(parts: ConvexParts) -> dict[str, str]:
 
 
 def _symmetry_note(group: SymmetryGroup) -> str:
+    if len(group) == 1 and group.continuous_axis is None:
+        return f"none found (tolerance {group.tolerance_m * 1e3:.2f} mm)"
     kind = "continuous about an axis, " if group.continuous_axis is not None else ""
     return (
         f"{kind}{len(group)} rotations within {group.tolerance_m * 1e3:.2f} mm "

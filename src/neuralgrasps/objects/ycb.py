@@ -8,6 +8,7 @@ from pathlib import Path
 
 from neuralgrasps.errors import DataFormatError, DownloadError, InputError, MeshError, unknown_name
 from neuralgrasps.geometry.mesh import LengthUnit, load_mesh
+from neuralgrasps.objects.build import check_size
 from neuralgrasps.objects.builtin import STAND_INS, find_stand_in
 from neuralgrasps.objects.cache import home_folder
 from neuralgrasps.objects.download import Progress, check_sha256, fetch_file, record_sha256
@@ -49,13 +50,27 @@ def import_object(
     if name in STAND_INS:
         raise InputError(f"'{name}' is a built-in object; give the import another name.")
     if stored_mesh_file(name) is not None and not replace:
-        raise InputError(f"an object '{name}' was imported before; give another name, or say that it may be replaced.")
+        raise InputError(
+            f"an object '{name}' was imported before; give another name, or replace it "
+            "(--replace on the command line, replace=True in Python)."
+        )
     loaded = load_mesh(path, unit=unit)
-    notes = {"source": source or f"imported from '{path.name}'", "licence": licence, "file_unit": unit}
+    check_size(name, loaded.mesh)
+    notes = {
+        "source": source or f"imported from '{path.name}'",
+        "licence": licence,
+        "file_unit": _file_unit(unit, loaded.repairs),
+    }
     if loaded.repairs:
         notes["repairs"] = "; ".join(loaded.repairs)
     store_mesh(name, loaded.mesh, notes)
     return name
+
+
+def _file_unit(unit: LengthUnit, repairs: Sequence[str]) -> str:
+    if unit != "auto":
+        return unit
+    return "mm (guessed from its size)" if any("unit" in line for line in repairs) else "m (guessed from its size)"
 
 
 def download_ycb(

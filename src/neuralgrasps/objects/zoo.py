@@ -79,7 +79,9 @@ def _from_file(path: Path, *, unit: LengthUnit, mass_kg: float | None, friction:
 
 def _from_store(name: str, path: Path, *, mass_kg: float | None, friction: float) -> ObjectModel:
     loaded = load_mesh(path, unit="m")
-    notes = {"unit": "m", **stored_notes(name)}
+    notes = dict(stored_notes(name))
+    file_unit = notes.pop("file_unit", "m")
+    notes["unit"] = "m" if file_unit == "m" else f"m; the imported file was in {file_unit}"
     mass_kg = _published_mass(name, mass_kg, notes)
     return object_from_mesh(name, loaded.mesh, mass_kg=mass_kg, friction=friction, provenance=notes)
 
