@@ -14,7 +14,7 @@ maps, owners = [], []
 for name in ("human", "fetch", "barrett"):
     hand = ng.load_hand(name)
     grasps = ng.synthesise(hand, obj, config=config, seed=0).grasps
-    maps.append(ng.contact_map(obj.points_O, hand, grasps.X_OH, grasps.q, radius=0.02).numpy())
+    maps.append(ng.contact_map(obj.points_O, hand, grasps.X_OH, grasps.q, radius=0.02))
     owners += [(name, i) for i in range(len(grasps))]
 
 stacked = np.concatenate(maps)

@@ -257,3 +257,8 @@ def test_a_failed_write_is_explained_and_leaves_the_old_file(tmp_path, monkeypat
     assert [p.name for p in tmp_path.iterdir()] == ["set.safetensors"]
     with pytest.raises(StorageError, match="does not exist"):
         save_grasps(tmp_path / "nowhere" / "set.safetensors", make_grasps())
+
+
+def test_a_set_prints_as_one_line() -> None:
+    grasps = empty_grasps("fetch", "mug", num_joints=1)
+    assert repr(grasps) == "GraspSet(fetch on mug: 0 grasps)"

@@ -50,6 +50,10 @@ class Mesh:
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
 
+    def __repr__(self) -> str:
+        size = ", " + " x ".join(f"{1e3 * s:.0f}" for s in self.extents) + " mm" if len(self.vertices) else ""
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces{size})"
+
     @property
     def bounds(self) -> FloatArray:
         """(2, 3) lowest and highest corner of the axis-aligned box."""

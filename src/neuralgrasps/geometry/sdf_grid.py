@@ -41,6 +41,10 @@ class SdfGrid:
     origin: NDArray[np.float64]
     spacing: float
 
+    def __repr__(self) -> str:
+        sides = " x ".join(map(str, self.values.shape))
+        return f"SdfGrid({sides} nodes, {1e3 * self.spacing:.3g} mm apart)"
+
     def __post_init__(self) -> None:
         values = np.ascontiguousarray(self.values, dtype=np.float32)
         origin = np.array(self.origin, dtype=np.float64)

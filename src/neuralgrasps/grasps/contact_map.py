@@ -6,7 +6,7 @@ Source: Khargonkar et al. 2022, Sec. 3.2. Differs: metres and exact distances to
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -25,6 +25,19 @@ RADIUS_M = 0.05
 CHUNK_PAIRS = 65536  # hand-point pairs per call; bounds the memory of the exact distance
 
 
+@overload
+def contact_map(
+    points_O: np.ndarray,
+    hand: Hand,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    radius: float = RADIUS_M,
+    chunk_pairs: int = CHUNK_PAIRS,
+) -> np.ndarray: ...
+
+
+@overload
 def contact_map(
     points_O: Tensor | np.ndarray,
     hand: Hand,
@@ -33,7 +46,18 @@ def contact_map(
     *,
     radius: float = RADIUS_M,
     chunk_pairs: int = CHUNK_PAIRS,
-) -> Tensor:
+) -> Tensor: ...
+
+
+def contact_map(
+    points_O: Tensor | np.ndarray,
+    hand: Hand,
+    X_OH: Tensor | np.ndarray,
+    q: Tensor | np.ndarray,
+    *,
+    radius: float = RADIUS_M,
+    chunk_pairs: int = CHUNK_PAIRS,
+) -> Tensor | np.ndarray:
     """Closeness of each object point to each posed hand, in [0, 1].
 
     Args:
@@ -44,7 +68,8 @@ def contact_map(
         radius: decay length, metres, > 0.
         chunk_pairs: grasps times points per step; the memory used is proportional to it.
     Returns:
-        (N, P) float32 on the device of `points_O`; differentiable in `X_OH` and `q`.
+        (N, P) float32: numpy when all three arrays are numpy, else torch on the device of `points_O`, differentiable in
+        `X_OH` and `q`.
     Raises:
         ShapeError: an input's shape; InputError: radius not positive.
     """
@@ -53,6 +78,7 @@ def contact_map(
     from neuralgrasps.hands.signed_distance import hand_signed_distance  # noqa: PLC0415 - imports torch
 
     _check_radius(radius)
+    as_numpy = not any(isinstance(a, torch.Tensor) for a in (points_O, X_OH, q))
     points_O, X_OH, q = (
         a if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(a, np.float64)) for a in (points_O, X_OH, q)
     )
@@ -71,7 +97,8 @@ def contact_map(
             distance = hand_signed_distance(hand, X_OH[n : n + rows], q[n : n + rows], points)
             parts.append(torch.exp(-distance.clamp(min=0) / radius).to(torch.float32))
         out.append(torch.cat(parts, dim=-1) if parts else torch.zeros(len(X_OH[n : n + rows]), 0))
-    return torch.cat(out) if out else torch.zeros(0, per_hand, dtype=torch.float32, device=points_O.device)
+    maps = torch.cat(out) if out else torch.zeros(0, per_hand, dtype=torch.float32, device=points_O.device)
+    return maps.numpy() if as_numpy else maps
 
 
 def contact_map_packed(

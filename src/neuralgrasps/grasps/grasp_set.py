@@ -50,6 +50,9 @@ class Verdict:
         if len(set(shapes.values())) != 1 or self.success.ndim != 1:
             raise ShapeError(f"verdict arrays have shapes {shapes}; expected one (N,) for all three.")
 
+    def __repr__(self) -> str:
+        return f"Verdict({int(self.success.sum())} of {len(self)} held)"
+
     def __len__(self) -> int:
         return len(self.success)
 
@@ -180,6 +183,17 @@ class GraspSet:
                     f"{where}: {name} and contact_links disagree on which contacts exist in grasps "
                     f"{_some(wrong.any(axis=1))}; pad points and normals with nan where the link is -1."
                 )
+
+    def __repr__(self) -> str:
+        count = len(self)
+        words = [f"{count} grasp" if count == 1 else f"{count} grasps"]
+        if self.protocol in self.verdicts:
+            words.append(f"{int(self.validated.sum())} held '{self.protocol}'")
+        if count:
+            words.append(
+                "epsilon " + "-".join(dict.fromkeys(f"{v:.2f}" for v in (self.epsilon.min(), self.epsilon.max())))
+            )
+        return f"GraspSet({self.hand} on {self.object}: {', '.join(words)})"
 
     def __len__(self) -> int:
         return len(self.X_OH)

@@ -114,6 +114,11 @@ class Hand:
                 f"hand '{self.name}': preshape_groups must hold each of the {self.num_dofs} joints once; got {grouped}."
             )
 
+    def __repr__(self) -> str:
+        joints = "1 joint" if self.num_dofs == 1 else f"{self.num_dofs} joints"
+        kind = "parallel jaw" if self.is_jaw else f"{len(self.fingers)} fingers"
+        return f"Hand({self.name}: {joints}, {kind}, {len(self.parts)} convex parts)"
+
     @property
     def num_dofs(self) -> int:
         return self.tree.num_dofs

@@ -41,3 +41,7 @@ class ObjectModel:
     symmetry: SymmetryGroup
     content_hash: str
     provenance: Mapping[str, str]
+
+    def __repr__(self) -> str:
+        size = " x ".join(f"{1e3 * side:.0f}" for side in self.mesh.extents)
+        return f"ObjectModel({self.name}: {size} mm, {1e3 * self.mass_kg:.0f} g, {len(self.convex_parts)} convex parts)"
