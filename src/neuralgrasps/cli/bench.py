@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from neuralgrasps.cli.options import AllNames, OptionalFolder, Workers
+from neuralgrasps.cli.options import AllNames, Workers
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import NeuralGraspsError
 
@@ -23,7 +23,7 @@ def bench(
     name: Annotated[Literal["demo"], tyro.conf.Positional],
     /,
     *,
-    objects: OptionalFolder = None,
+    objects: AllNames = (),
     hands: AllNames = (),
     count: int = 24,
     seed: int = 0,
@@ -34,7 +34,7 @@ def bench(
 
     Args:
         name: demo, the whole path into a temporary folder.
-        objects: folder of mesh files; default the built-in objects of the demo.
+        objects: names, mesh files or folders of mesh files; default the three objects of the demo.
         hands: default the five built-in hands.
         count: grasps per hand and object.
         seed: root of every random number.
@@ -45,19 +45,21 @@ def bench(
     from neuralgrasps.demo.run import run_demo
     from neuralgrasps.parallel import available_cpus
 
-    options: dict[str, Any] = {"objects_dir": objects, "count": count, "seed": seed, "workers": workers}
+    options: dict[str, Any] = {"count": count, "seed": seed, "workers": workers}
     if quick:
         options |= {"count": 8, "hands": ("panda", "allegro"), "pose_views": 2}
         options |= {} if objects else {"objects": ("mustard_bottle",)}
+    if objects:
+        options["objects"] = tuple(objects)
     if hands:
         options["hands"] = tuple(hands)
     with tempfile.TemporaryDirectory(prefix="neuralgrasps-bench-") as folder:
         config = DemoConfig(out=Path(folder), **options)
         with terminal.progress("demo") as bar:
             result = run_demo(config, progress=bar.stage)
-    figures = {**result.figures, "import_s": import_seconds()}
+    figures = {**result.figures, "import_wall_s": import_seconds()}
     shown = {
-        "objects": str(objects) if objects else list(config.objects),
+        "objects": list(config.objects),
         "hands": list(config.hands),
         "count": config.count,
         "seed": seed,

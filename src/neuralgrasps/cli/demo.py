@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from neuralgrasps.cli.options import AllNames, Folder, OptionalFolder, Workers
+from neuralgrasps.cli.options import AllNames, Folder, Workers
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal
 
@@ -21,7 +21,6 @@ def demo(
     /,
     *,
     objects: DemoObjects = ("cracker_box", "tomato_soup_can", "mustard_bottle"),
-    objects_dir: OptionalFolder = None,
     hands: AllNames = (),
     count: int = 24,
     seed: int = 0,
@@ -31,8 +30,7 @@ def demo(
     """Run the whole path once: grasps, dataset, latent space, retrieval, object poses, and a page that shows it all.
 
     Args:
-        objects: names, or mesh files.
-        objects_dir: take all meshes of a folder instead.
+        objects: names, mesh files, or folders of mesh files.
         hands: names, or URDF or MJCF files; default the five built-in hands.
         count: grasps per hand and object.
         seed: the same seed gives the same result.
@@ -46,12 +44,12 @@ def demo(
     check_writable(out, folder=True)
     config = DemoConfig(
         objects=objects,
-        objects_dir=objects_dir,
         hands=hands or hand_names(),
         count=count,
         seed=seed,
         workers=workers,
         out=out,
+        command=terminal.command,
     )
     terminal.kept = f"Finished grasps are kept in '{out}'; the same command goes on from there."
     with terminal.progress("demo") as bar:

@@ -10,10 +10,11 @@ import torch
 from scipy.spatial.distance import cdist
 
 from neuralgrasps.apply.retrieve import retrieve
-from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.demo.measure import Progress
+from neuralgrasps.evaluate.denoise import DenoiseScore, correction_gain
 from neuralgrasps.evaluate.embedding import embed_codes
+from neuralgrasps.evaluate.observe import observe_hand, observe_hand_one_view
 from neuralgrasps.evaluate.reconstruction import (
     HandReconstruction,
     ObjectReconstruction,
@@ -22,55 +23,50 @@ from neuralgrasps.evaluate.reconstruction import (
 )
 from neuralgrasps.evaluate.retrieval import RetrievalScores, score_codebook
 from neuralgrasps.model.codes import CodeBook, join_codes
-from neuralgrasps.model.infer import infer_grasps
+from neuralgrasps.model.infer import infer_grasps, one_view_config
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.reconstruct import SurfaceErrors, hand_surface_distances, surface_errors
 from neuralgrasps.model.train import TrainResult
 from neuralgrasps.parallel import run_tasks
-from neuralgrasps.seeds import child_rng
-
-OBSERVED_POINTS = 1024
+from neuralgrasps.seeds import child_seed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairMeasures:
-    """Held-out grasps of one hand on one object.
+    """Held-out grasps of one hand on one object, the hand and the object's pose known.
 
     Attributes:
-        encoded: surface error of the decoded codes of known joints (the code keeps the grasp, so this is rounding).
-        inferred: the same, with the published measure, for grasps inferred from unlabelled hand points.
-        codes: the inferred codes, one per test grasp.
+        known: surface error of codes encoded from pose and joints (the code keeps them, so this is rounding).
+        complete: the same, with the published measure, for grasps found from points all over the hand, without noise.
+        one_view: surface error of grasps found from what one depth camera sees, with noise.
+        complete_codes, view_codes: the codes found, one per test grasp.
     """
 
     hand: str
     object: str
-    encoded: SurfaceErrors
-    inferred: HandReconstruction
-    codes: CodeBook
+    known: SurfaceErrors
+    complete: HandReconstruction
+    one_view: SurfaceErrors
+    complete_codes: CodeBook
+    view_codes: CodeBook
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectMeasures:
-    """One object's held-out grasps: retrieval by encoded and by inferred codes, reconstruction of object and hands."""
+    """One object's held-out grasps: retrieval by each kind of code, reconstruction of object and hands."""
 
     object: str
-    scores: RetrievalScores
-    inferred_scores: RetrievalScores
+    known: RetrievalScores
+    complete: RetrievalScores
+    one_view: RetrievalScores
     shape: ObjectReconstruction
     pairs: tuple[PairMeasures, ...]
 
-    @property
-    def encoded_error_m(self) -> float:
-        return float(np.mean([p.encoded.mean_m for p in self.pairs]))
-
-    @property
-    def inferred_error_m(self) -> float:
-        return float(np.mean([p.inferred.surface.mean_m for p in self.pairs]))
-
-    @property
-    def inferred_p95_m(self) -> float:
-        """The worst hand's 95th percentile."""
-        return max(p.inferred.surface.p95_m for p in self.pairs)
+    def mean_error_m(self, kind: str) -> float:
+        """Mean surface error over the hands; `kind` is "known", "complete" or "one_view"."""
+        return float(
+            np.mean([p.complete.surface.mean_m if kind == "complete" else getattr(p, kind).mean_m for p in self.pairs])
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,30 +109,22 @@ class LatentMeasures:
 
     Attributes:
         maps: (hand, object) -> (N, P) contact maps. retrieval: examples to show. maps_2d: t-SNE pictures.
+        correction: what the trained network gains on held-out codes that are off.
     """
 
     objects: tuple[ObjectMeasures, ...]
     maps: Mapping[tuple[str, str], np.ndarray]
     retrieval: tuple[RetrievalExample, ...]
     maps_2d: tuple[Embedding, ...]
+    correction: tuple[DenoiseScore, ...]
 
-    @property
-    def encoded_error_m(self) -> float:
-        return float(np.mean([o.encoded_error_m for o in self.objects]))
+    def mean_error_m(self, kind: str) -> float:
+        """Mean surface error over objects and hands; `kind` is "known", "complete" or "one_view"."""
+        return float(np.mean([o.mean_error_m(kind) for o in self.objects]))
 
-    @property
-    def inferred_error_m(self) -> float:
-        return float(np.mean([o.inferred_error_m for o in self.objects]))
-
-    @property
-    def gap_encoded(self) -> float:
-        """Mean over the objects of Near GT - Near Z."""
-        return float(np.mean([o.scores.gap for o in self.objects]))
-
-    @property
-    def gap_inferred(self) -> float:
-        """The same, with codes inferred from observed hand points."""
-        return float(np.mean([o.inferred_scores.gap for o in self.objects]))
+    def gap(self, kind: str) -> float:
+        """Mean over the objects of Near GT - Near Z, by codes of that kind."""
+        return float(np.mean([getattr(o, kind).gap for o in self.objects]))
 
 
 def measure_latent(
@@ -153,6 +141,7 @@ def measure_latent(
             example for name in dataset.objects if (example := _example(book, gallery, name, "human")) is not None
         ),
         maps_2d=_embeddings(book, seed),
+        correction=correction_gain(field, dataset, seed=seed),
     )
 
 
@@ -179,38 +168,45 @@ def _measure_pairs(
 def _measure_pair(
     field: KinematicField, book: CodeBook, dataset: GraspDataset, hand: str, obj: str, seed: int
 ) -> PairMeasures:
-    """Infer a pair's test grasps from `OBSERVED_POINTS` unlabelled points of the hand's surface each, and compare."""
+    """Find a pair's test grasps from observed points of the hand, and compare."""
     known, gallery = book[book.where(is_test=True)], book[book.where(is_test=False)]
     packed, test = field.packed[hand], known.grasp_index
     grasps = dataset.grasps(hand, obj)[test]
-    clouds = [
-        sample_posed_surface(packed, X_OH, q, OBSERVED_POINTS, child_rng(seed, "observed", hand, obj, int(index)))
-        for X_OH, q, index in zip(grasps.X_OH, grasps.q, test, strict=True)
-    ]
-    found = infer_grasps(clouds, field, gallery, hand=hand, object_name=obj)
-    codes = replace(found.codes, grasp_index=test)
+    complete, view = [], []
+    for X_OH, q, index in zip(grasps.X_OH, grasps.q, test, strict=True):
+        at = child_seed(seed, "observed", hand, obj, int(index))
+        complete.append(observe_hand(packed, X_OH, q, seed=at))
+        view.append(observe_hand_one_view(field.hands[hand], field.objects[obj], X_OH, q, seed=at))
+    from_all = infer_grasps(complete, field, gallery, hand=hand, object_name=obj)
+    from_view = infer_grasps(view, field, gallery, hand=hand, object_name=obj, config=one_view_config())
     with torch.no_grad():
         decoded = field.decode(torch.as_tensor(known.values.astype(np.float64)), hand=hand, object_name=obj)
-    exact = hand_surface_distances(packed, decoded.X_OH.numpy(), decoded.q.numpy(), grasps.X_OH, grasps.q, seed=seed)
+
+    def errors(X_OH: np.ndarray, q: np.ndarray) -> SurfaceErrors:
+        return surface_errors(hand_surface_distances(packed, X_OH, q, grasps.X_OH, grasps.q, seed=seed))
+
+    complete_codes = replace(from_all.codes, grasp_index=test)
     return PairMeasures(
         hand=hand,
         object=obj,
-        encoded=surface_errors(exact),
-        inferred=reconstruct_hands(field, dataset, codes, hand=hand, object_name=obj, seed=seed),
-        codes=codes,
+        known=errors(decoded.X_OH.numpy(), decoded.q.numpy()),
+        complete=reconstruct_hands(field, dataset, complete_codes, hand=hand, object_name=obj, seed=seed),
+        one_view=errors(from_view.X_OH, from_view.q),
+        complete_codes=complete_codes,
+        view_codes=replace(from_view.codes, grasp_index=test),
     )
 
 
 def _measure_object(
     field: KinematicField, book: CodeBook, dataset: GraspDataset, name: str, measured: Sequence[PairMeasures]
 ) -> ObjectMeasures:
-    pairs = tuple(p for p in measured if p.object == name)
     # the book holds each hand's test grasps together, in the order of the pairs
-    inferred = join_codes([p.codes for p in pairs])
+    pairs = tuple(p for p in measured if p.object == name)
     return ObjectMeasures(
         object=name,
-        scores=score_codebook(book, object_name=name),
-        inferred_scores=score_codebook(book, object_name=name, queries=inferred),
+        known=score_codebook(book, object_name=name),
+        complete=score_codebook(book, object_name=name, queries=join_codes([p.complete_codes for p in pairs])),
+        one_view=score_codebook(book, object_name=name, queries=join_codes([p.view_codes for p in pairs])),
         shape=reconstruct_object(field, dataset, object_name=name),
         pairs=pairs,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import shlex
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from neuralgrasps.demo.measure import Progress
 from neuralgrasps.demo.meter import Meter
 from neuralgrasps.demo.pictures import PicturePlan, draw
 from neuralgrasps.demo.tables import (
+    correction_table,
     dataset_facts,
     histograms,
     inference_table,
@@ -41,6 +41,7 @@ from neuralgrasps.report.content import (
 from neuralgrasps.report.figures import render_depth, render_pose_overlay
 from neuralgrasps.report.page import write_report
 
+TOUCH_M = 0.004  # a contact card counts the surface nearer to the hand than this
 SHOWN = 3  # grasps shown per hand and object
 
 _PHYSICS = (
@@ -48,7 +49,7 @@ _PHYSICS = (
     "hand closed from its pre-grasp, squeezed within its torque limits, and then kept an object of 0.1 kg (friction "
     "0.6) while 1 N pulled it along six directions for 2 s each; it may move less than 5 cm and turn less than 15 "
     "degrees (the DexGraspBench protocol). ε is the radius of the largest ball of wrenches that the contacts resist; "
-    "overlap is the deepest hand point inside the mesh; slip is how far the object moved in the trial."
+    "overlap is how deep hand and true mesh cut into each other; slip is how far the object moved in the trial."
 )
 
 
@@ -70,7 +71,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
                 hand=hand,
                 object=obj,
                 image=pictures[slot],
-                area_share=float((data.latent.maps[hand, obj][0] > 0.5).mean()),
+                area_share=_touched_share(data, hand, obj),
             )
             for hand, obj, slot in contacts
         )
@@ -88,7 +89,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
     return write_report(
         DemoReport(
             title="NeuralGrasps: one latent space for every hand",
-            command=_command(data),
+            command=data.config.command,
             subtitle=f"{len(data.hands)} hands, {len(data.objects)} objects, "
             f"{sum(len(g) for g in data.grasp_sets)} grasps, each held in physics",
             machine=f"{platform.system()} {platform.machine()}, {workers} of {available_cpus()} processors, no GPU",
@@ -109,7 +110,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
                 StageTime(stage=s.name, wall_s=s.wall_s, cpu_s=s.cpu_s, peak_memory_mib=s.peak_rss_bytes / 2**20)
                 for s in meter.stages
             ),
-            tables=(paper_table(data), inference_table(data), pose_table(data)),
+            tables=(inference_table(data), correction_table(data), paper_table(data), pose_table(data)),
             histograms=histograms(data),
             notes=_notes(data),
             section_texts={"grasps": _PHYSICS},
@@ -118,12 +119,10 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
     )
 
 
-def _command(data: DemoData) -> str:
-    config = data.config
-    words = ["neuralgrasps", "demo"]
-    if config.objects_dir is not None:
-        words += ["--objects", str(config.objects_dir)]
-    return shlex.join([*words, "--count", str(config.count), "--seed", str(config.seed)])
+def _touched_share(data: DemoData, hand: str, obj: str) -> float:
+    """Share of the surface within `TOUCH_M` of the hand, for the first grasp of a pair."""
+    limit = np.exp(-TOUCH_M / data.dataset.contact_radius_m(obj))
+    return float((data.latent.maps[hand, obj][0] >= limit).mean())
 
 
 def _grasp_figure(data: DemoData, hand: str, obj: str, index: int, image: np.ndarray) -> GraspFigure:
@@ -143,14 +142,16 @@ def _retrieval_row(row: RetrievalExample, images: Sequence[np.ndarray]) -> Retri
 
 def _key_figures(data: DemoData, meter: Meter) -> tuple[KeyFigure, ...]:
     tried, held = (sum(getattr(r, k) for r in data.records) for k in ("tried", "validated"))
-    depth = np.percentile(data.grasps.penetration_m, 95) * 1e3
+    depth = np.percentile(data.grasps.fine_m, 95) * 1e3
     turn = np.rad2deg(np.median([p.errors.rotation_rad for p in data.poses]))
     return (
         KeyFigure(value=str(held), label="grasps held in physics", note=f"{held / tried:.0%} of {tried} tried"),
-        KeyFigure(value=f"{depth:.2f} mm", label="overlap, 95th percentile", note="4 mm points against the true mesh"),
+        KeyFigure(value=f"{depth:.2f} mm", label="overlap, 95th percentile", note="2 mm points, against the true mesh"),
         KeyFigure(
-            value=f"{data.latent.gap_encoded:.3f}", label="retrieval gap, known grasps",
-            note=f"{data.latent.gap_inferred:.3f} from observed points; published: 0.071",
+            value=f"{data.latent.gap('one_view'):.3f}",
+            label="retrieval gap",
+            note="held-out hands seen in one depth view"
+            + (f"; published on these objects: {data.published_gap:.3f}" if data.published_gap is not None else ""),
         ),
         KeyFigure(
             value=f"{turn:.2f}°", label="object rotation error",
@@ -201,8 +202,6 @@ def _notes(data: DemoData) -> tuple[str, ...]:
         "objects need more.",
         "Depth images are simulated; real cameras have biases that this sensor model does not contain.",
     ]
-    if data.config.objects_dir is None and all(
-        o.provenance.get("source", "").startswith("built") for o in data.objects.values()
-    ):
+    if not data.are_scans and all(o.provenance.get("source", "").startswith("built") for o in data.objects.values()):
         notes.append("The objects are stand-ins of published size, not scans.")
     return (*notes, *(f"{r.hand} on {r.object}: {r.reason}." for r in data.records if r.reason))

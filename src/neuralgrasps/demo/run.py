@@ -68,7 +68,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
             )
             save_run(config.out / "run", trained)
         with meter.stage("measuring"):
-            grasps = measure_grasps(hands, objects, kept)
+            grasps = measure_grasps(hands, objects, kept, workers=workers)
             latent = measure_latent(
                 trained, dataset, seed=config.seed, workers=workers, progress=lambda *a: say("measuring", *a)
             )
@@ -98,20 +98,24 @@ def training_threads(count: int = 2) -> Iterator[None]:
 
 
 def object_sources(config: DemoConfig) -> tuple[str, ...]:
-    """Names or paths of the objects to load.
+    """Names or paths of the objects to load; a folder stands for its mesh files, sorted.
 
     Raises:
-        InputError: `objects_dir` is not a folder or holds no mesh.
+        InputError: a folder holds no mesh, or no object is given.
     """
-    if config.objects_dir is None:
-        return config.objects
-    folder = Path(config.objects_dir)
-    if not folder.is_dir():
-        raise InputError(f"'{folder}' is not a folder; --objects takes a folder of mesh files.")
-    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
-    if not found:
-        raise InputError(f"'{folder}' holds no mesh; expected files ending in {', '.join(MESH_SUFFIXES)}.")
-    return tuple(map(str, found))
+    sources: list[str] = []
+    for given in config.objects:
+        folder = Path(given)
+        if not folder.is_dir():
+            sources.append(given)
+            continue
+        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
+        if not found:
+            raise InputError(f"folder '{folder}' holds no mesh; expected files ending in {', '.join(MESH_SUFFIXES)}.")
+        sources += map(str, found)
+    if not sources:
+        raise InputError("no object was given; expected names, mesh files or folders of mesh files.")
+    return tuple(sources)
 
 
 def _load_objects(sources: Sequence[str], workers: int, say: Progress) -> dict[str, ObjectModel]:

@@ -158,6 +158,7 @@ class ModelRow:
         near_code, near_contact, far_code, far_contact: contact similarity of the nearest and farthest neighbour,
             found by code and by the contact maps themselves (the best any code could do).
         chamfer_e3, chamfer_oracle_e3: the published Chamfer measure, x 1e-3: ours, and a perfect reconstruction's.
+        is_scan: the object is a real scan, so the published figures of its name belong beside it.
     """
 
     object: str
@@ -170,6 +171,7 @@ class ModelRow:
     far_contact: float | None = None
     chamfer_e3: float | None = None
     chamfer_oracle_e3: float | None = None
+    is_scan: bool = True
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

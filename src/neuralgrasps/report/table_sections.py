@@ -74,7 +74,7 @@ def retrieval_table(rows: Sequence[ModelRow]) -> Table:
     far_columns = ("far, by code", "lowest possible", "paper far / lowest")
     body = []
     for r in rows:
-        paper = PUBLISHED_RETRIEVAL.get(plain_name(r.object))
+        paper = PUBLISHED_RETRIEVAL.get(plain_name(r.object)) if r.is_scan else None
         gap = r.near_contact - r.near_code if r.near_contact is not None and r.near_code is not None else None
         near_paper = f"{paper[0]:.2f} / {paper[1]:.2f}" if paper else None
         far_paper = f"{paper[2]:.2f} / {paper[3]:.2f}" if paper else None
@@ -87,8 +87,9 @@ def retrieval_table(rows: Sequence[ModelRow]) -> Table:
         meaning="Near is the contact-map similarity of the grasp that the code finds nearest, against the best "
         "that any grasp in the set offers; the gap is what the code loses. Far is the same for the "
         "least similar grasp: lower is better.",
-        how="Queries are held-out grasps. Distance between contact maps is L1 over the largest of all "
-        "pairs; similarity is one minus that. The paper's figures are for its own grasps and hands.",
+        how="Queries are held-out grasps whose hand is seen in one noisy depth view. Distance between contact maps "
+        "is L1 over the largest query-to-gallery distance; similarity is one minus that. The paper's figures are "
+        "for its own grasps, hands and gallery sizes.",
     )
 
 
