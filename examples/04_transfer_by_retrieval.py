@@ -8,9 +8,6 @@ same way?
 from pathlib import Path
 
 import neuralgrasps as ng
-from neuralgrasps.dataset.hand_surface import sample_posed_surface
-from neuralgrasps.model.infer import encode_points
-from neuralgrasps.seeds import child_rng
 
 
 def main() -> None:
@@ -28,8 +25,8 @@ def main() -> None:
     query = int(dataset.split("human", obj.name).test[0])  # a grasp that training did not see
     grasp = dataset.grasps("human", obj.name)[query]
     field = trained.field
-    seen_O = sample_posed_surface(field.packed["human"], grasp.X_OH[0], grasp.q[0], 1000, child_rng(0, "seen"))
-    code = encode_points([seen_O], field, object_name=obj.name)
+    seen_O = ng.observe_hand(field.packed["human"], grasp.X_OH[0], grasp.q[0], seed=0)
+    code = ng.encode_points([seen_O], field, object_name=obj.name)
     for name in ("fetch", "allegro"):
         found = ng.retrieve(code, trained.codebook, object_name=obj.name, hand=name, count=3)
         rows = [int(trained.codebook.grasp_index[i]) for i in found.index[0]]

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from neuralgrasps.dataset.read import GraspDataset, read_dataset
     from neuralgrasps.dataset.schema import DatasetConfig
     from neuralgrasps.dataset.verify import verify_dataset
+    from neuralgrasps.evaluate.observe import observe_hand
     from neuralgrasps.geometry.camera import Intrinsics
     from neuralgrasps.grasps.contact_map import contact_map
     from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.hands.zoo import hand_names, load_hand
     from neuralgrasps.model.checkpoint import load_run, save_run
+    from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps
     from neuralgrasps.model.kinematic_field import KinematicField
     from neuralgrasps.model.train import TrainConfig, train
     from neuralgrasps.objects.object_model import ObjectModel
@@ -51,6 +53,7 @@ _HOMES = {
     "GraspDataset": "dataset.read",
     "GraspSet": "grasps.grasp_set",
     "Hand": "hands.hand",
+    "InferConfig": "model.infer",
     "Intrinsics": "geometry.camera",
     "KinematicField": "model.kinematic_field",
     "ObjectModel": "objects.object_model",
@@ -61,9 +64,12 @@ _HOMES = {
     "collect_grasps": "dataset.collect",
     "contact_map": "grasps.contact_map",
     "download_ycb": "objects.ycb",
+    "encode_points": "model.infer",
     "estimate_pose": "perception.pose",
     "hand_names": "hands.zoo",
     "import_object": "objects.ycb",
+    "infer_grasps": "model.infer",
+    "observe_hand": "evaluate.observe",
     "load_grasps": "grasps.grasp_io",
     "load_hand": "hands.zoo",
     "load_object": "objects.zoo",
@@ -87,6 +93,7 @@ __all__ = [
     "GraspDataset",
     "GraspSet",
     "Hand",
+    "InferConfig",
     "InputError",
     "Intrinsics",
     "KinematicField",
@@ -105,14 +112,17 @@ __all__ = [
     "collect_grasps",
     "contact_map",
     "download_ycb",
+    "encode_points",
     "estimate_pose",
     "hand_names",
     "import_object",
+    "infer_grasps",
     "load_grasps",
     "load_hand",
     "load_object",
     "load_run",
     "object_names",
+    "observe_hand",
     "read_dataset",
     "retrieve",
     "save_grasps",

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,14 @@ def test_only_the_asked_hand_is_searched_and_missing_places_are_marked() -> None
     result = retrieve(book([0.5]), gallery, object_name="box", hand="b", count=2)
     assert result.index.tolist() == [[2, -1]]
     assert result.code_distance[0, 1] == np.inf
+
+
+def test_test_grasps_are_searched_only_when_asked_for() -> None:
+    gallery = replace(book([0.0, 0.5, 0.9]), is_test=np.array([False, True, False]))
+    assert retrieve(book([0.5]), gallery, object_name="box", count=3).index.tolist() == [[2, 0, -1]]
+    assert retrieve(book([0.5]), gallery, object_name="box", count=1, include_test=True).index.tolist() == [[1]]
+    with pytest.raises(InputError, match="no training grasps"):
+        retrieve(book([0.5]), gallery[1], object_name="box")
 
 
 def test_maps_put_the_best_in_order() -> None:
@@ -97,7 +107,7 @@ def test_rotated_maps_are_those_of_the_moved_grasp(small_world, make_object) -> 
 
 def test_questions_without_an_answer_are_refused() -> None:
     gallery = book([0.0], hands=("a", "b"))
-    with pytest.raises(InputError, match="no grasps of 'box' by hand 'b'"):
+    with pytest.raises(InputError, match="no training grasps of 'box' by hand 'b'"):
         retrieve(book([0.0]), gallery, object_name="box", hand="b")
     with pytest.raises(InputError, match="count is 0"):
         retrieve(book([0.0]), gallery, object_name="box", count=0)

@@ -74,6 +74,21 @@ def test_training_lowers_the_loss_and_repeats_exactly(small_world, small_dataset
     assert small_run.losses[-8:].mean() < 0.9 * small_run.losses[:8].mean()
 
 
+def test_weights_do_not_depend_on_the_threads_of_the_machine(small_world, small_dataset) -> None:
+    before = torch.get_num_threads()
+    config = TrainConfig(steps=3, batch=64, variants=1)
+    results = []
+    try:
+        for threads in (1, 4):
+            torch.set_num_threads(threads)
+            results.append(train(small_dataset, hands=small_world.hands, objects=small_world.objects, config=config))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    a, b = (r.field.decoder.state_dict() for r in results)
+    assert all(torch.equal(a[name], b[name]) for name in a)
+
+
 def test_test_grasps_are_marked_and_not_trained_on(small_dataset, small_run) -> None:
     book = small_run.codebook
     assert len(book) == 48 and book.is_test.sum() == 8
@@ -157,3 +172,5 @@ def test_bad_training_configs_are_refused() -> None:
         TrainConfig(noise_min=0.0)
     with pytest.raises(InputError, match="batch 0"):
         TrainConfig(batch=0)
+    with pytest.raises(InputError, match="threads is 0"):
+        TrainConfig(threads=0)

@@ -59,6 +59,19 @@ def test_inference_repeats_exactly_and_says_when_it_failed(small_run, small_worl
     assert not a.converged[0] and a.residual_m[0] > 0.003
 
 
+def test_a_cloud_is_fitted_alike_in_any_batch(small_run, small_world) -> None:
+    gallery = small_run.codebook[~small_run.codebook.is_test]
+    clouds = clouds_of(small_run.field, small_world.grasp_sets[0], range(3), count=200, noise=0.004)
+    config = InferConfig(rounds=2, starts=2, finalists=1, variations=8, points=100, coarse_points=50, good_m=1e-6)
+
+    def fitted(some: list[np.ndarray]) -> np.ndarray:
+        return infer_grasps(some, small_run.field, gallery, hand="allegro", object_name="brick", config=config).q
+
+    together = fitted(clouds)
+    np.testing.assert_array_equal(fitted(clouds[::-1])[::-1], together)
+    np.testing.assert_array_equal(np.concatenate([fitted([cloud]) for cloud in clouds]), together)
+
+
 def test_the_right_hand_is_recognised(small_run, small_world) -> None:
     gallery = small_run.codebook[~small_run.codebook.is_test]
     cloud = clouds_of(small_run.field, small_world.grasp_sets[0], [0], noise=0.0005)[0]

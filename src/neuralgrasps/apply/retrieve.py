@@ -42,12 +42,14 @@ def retrieve(
     count: int = 5,
     rerank: int = RERANK,
     farthest: bool = False,
+    include_test: bool = False,
 ) -> RetrieveResult:
     """The grasps of the gallery that touch the object most (or least) like each query does.
 
     Args:
         queries: Q codes on the same object, of any hand.
         gallery: what to search; only its grasps of `object_name`, and of `hand` if given, take part.
+        include_test: search grasps marked as test grasps too (a query taken from them then finds itself).
         count: K, results per query.
         rerank: how many of the best by code are put in order by contact map, when both sides hold maps; 0 = none.
         farthest: the least similar instead.
@@ -55,7 +57,7 @@ def retrieve(
         UnknownNameError: the gallery does not know the hand or object.
         InputError: no grasp of the gallery matches, or count < 1.
     """
-    rows = _matching_rows(gallery, object_name, hand, count)
+    rows = _matching_rows(gallery, object_name, hand, count, include_test)
     return _ranked(
         queries.contact_block[:, None],
         queries.contact_maps[:, None],
@@ -77,18 +79,20 @@ def retrieve_symmetric(
     hand: str | None = None,
     count: int = 5,
     rerank: int = RERANK,
+    include_test: bool = False,
 ) -> RetrieveResult:
     """`retrieve`, with every grasp of the gallery allowed in all orientations that the object cannot tell apart.
 
     Args:
         queries: Q codes with contact maps (their maps are turned instead of the gallery's).
+        hand, count, rerank, include_test: as for `retrieve`.
         symmetry: the object's rotations; codec: its anchors; points_O: (P, 3) its contact points.
     """
     if queries.contact_maps.shape[1] != len(points_O):
         raise ShapeError(
             f"queries hold contact maps of {queries.contact_maps.shape[1]} points; the object has {len(points_O)}."
         )
-    rows = _matching_rows(gallery, codec.name, hand, count)
+    rows = _matching_rows(gallery, codec.name, hand, count, include_test)
     maps = rotated_maps(queries.contact_maps, points_O, symmetry)
     blocks = maps[:, :, codec.anchor_index]
     blocks[:, 0] = queries.contact_block
@@ -106,13 +110,16 @@ def rotated_maps(maps: np.ndarray, points_O: np.ndarray, symmetry: SymmetryGroup
     return maps[:, np.stack(turned)]
 
 
-def _matching_rows(gallery: CodeBook, object_name: str, hand: str | None, count: int) -> np.ndarray:
+def _matching_rows(
+    gallery: CodeBook, object_name: str, hand: str | None, count: int, include_test: bool
+) -> np.ndarray:
     if count < 1:
         raise InputError(f"count is {count}; expected at least 1.")
-    rows = np.flatnonzero(gallery.where(hand=hand, object_name=object_name))
+    rows = np.flatnonzero(gallery.where(hand=hand, object_name=object_name, is_test=None if include_test else False))
     if not len(rows):
         whose = f"hand '{hand}'" if hand else "any hand"
-        raise InputError(f"the gallery holds no grasps of '{object_name}' by {whose}; add some before retrieving.")
+        kind = "grasps" if include_test else "training grasps"
+        raise InputError(f"the gallery holds no {kind} of '{object_name}' by {whose}; add some before retrieving.")
     return rows
 
 

@@ -69,7 +69,7 @@ def retrieve(
         name = _object(book, object_name)
         row = _query_row(book, name, query_hand, query_index)
         asked, gallery = book[row], _without(book, row)
-    found = find(asked, gallery, object_name=name, hand=hand, count=count, farthest=farthest)
+    found = find(asked, gallery, object_name=name, hand=hand, count=count, farthest=farthest, include_test=True)
     rows = _rows(gallery, found, range(int((found.index[0] >= 0).sum())))
     query_name = asked.hands[int(asked.hand_index[0])]
     which = "least" if farthest else "most"

@@ -22,9 +22,10 @@ from neuralgrasps.seeds import child_rng
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Normalisation:
-    """The frame in which an object lies in a ball of radius 1/3 and hands fit in the unit ball.
+    """The frame in which an object lies in a ball of radius 1/3.
 
-    A view: arrays stay in metres in the object frame, and are mapped when a definition of the published
+    Hands reach beyond the unit ball where they are large against the object (18 % of the hand queries of a Barrett
+    hand on a soup can lie outside it). A view: arrays stay in metres in the object frame, and are mapped when a definition of the published
     method needs its units.
 
     Attributes:
@@ -57,7 +58,8 @@ class SdfSamples:
     Attributes:
         points_O: (N, M, 3) float32; of each scene the first M/2 were drawn around the object, the rest
             around the hand.
-        sdf_object, sdf_hand: (N, M) float32, exact at `points_O` up to the rounding to float32.
+        sdf_object, sdf_hand: (N, M) float32, exact at `points_O` up to the rounding to float32, but for points inside
+            several overlapping parts of a hand: the union's surface may be farther off than |sdf_hand| there.
         hand_index: (N,) int32 index into the dataset's hand names.
     """
 
@@ -125,7 +127,7 @@ def sample_scenes(
     config: DatasetConfig,
     hand_index: int = 0,
 ) -> SdfSamples:
-    """Exact signed distances of N scenes of one hand and object.
+    """Signed distances of N scenes of one hand and object; see `SdfSamples` for where they are exact.
 
     Args:
         mesh: the object's true surface, object frame, metres.
@@ -159,7 +161,11 @@ def sample_scenes(
 
 
 def hand_distances(packed: PackedHand, X_OH: np.ndarray, q: np.ndarray, points_O: np.ndarray) -> np.ndarray:
-    """Exact signed distances (N, P) float64, metres, from (P, 3) points to N posed hands."""
+    """Signed distances (N, P) float64, metres, from (P, 3) points to N posed hands.
+
+    Exact outside the hand and inside one part. Inside several overlapping parts it is the distance to the deepest
+    part's own surface: the sign is right, the depth a lower bound.
+    """
     # Copies, because kernels are compiled for writable arrays.
     X_OH, q, points = (np.array(a, np.float64) for a in (X_OH, q, points_O))
     distance = np.empty((len(X_OH), len(points)))

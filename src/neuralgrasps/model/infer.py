@@ -8,6 +8,7 @@ under a robust point noise and a weak prior on posture. Encoding known joints (`
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -144,6 +145,8 @@ def infer_grasps(
 ) -> InferResult:
     """Pose, joints and codes of a known hand from points on its surface.
 
+    Each cloud's result depends on that cloud alone, not on its place among the others.
+
     Args:
         hand_points_O: N clouds (M, 3) of one hand on one object, object frame, metres; noise and
             outliers are expected.
@@ -155,8 +158,8 @@ def infer_grasps(
     packed = field.packed[field.hand(hand).name]
     starts = gallery_grasps(field, gallery, hand=hand, object_name=object_name)
     fits = [
-        _fit_cloud(packed, _checked(cloud, i), starts, config, child_rng(config.seed, "infer", i))
-        for i, cloud in enumerate(hand_points_O)
+        _fit_cloud(packed, cloud, starts, config, _cloud_rng(config.seed, cloud))
+        for cloud in (_checked(c, i) for i, c in enumerate(hand_points_O))
     ]
     X_OH, q = np.stack([f.X_OH for f in fits]), np.stack([f.q for f in fits])
     residual = np.array([f.residual_m for f in fits])
@@ -216,6 +219,10 @@ def _checked(cloud: np.ndarray, index: int) -> np.ndarray:
     if len(cloud) < 10:
         raise InputError(f"cloud {index} has {len(cloud)} finite points; expected at least 10.")
     return cloud
+
+
+def _cloud_rng(seed: int, cloud_O: np.ndarray) -> np.random.Generator:
+    return child_rng(seed, "infer", hashlib.sha256(np.ascontiguousarray(cloud_O).tobytes()).hexdigest())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +46,7 @@ class TrainConfig:
         contact_noise: noise of the contact block per unit of noise level.
         variants: jittered copies of each grasp, with contact maps of their own, beside the grasp itself.
         jitter_m, jitter_rad, jitter_joint: standard deviations of that jitter (joint: share of its range).
+        threads: torch's threads while training, on any machine: sums come out the same only for the same number.
     """
 
     seed: int = 0
@@ -58,11 +60,14 @@ class TrainConfig:
     jitter_m: float = 0.01
     jitter_rad: float = 0.1
     jitter_joint: float = 0.05
+    threads: int = 2
     decoder: DecoderConfig = field(default_factory=DecoderConfig)
 
     def __post_init__(self) -> None:
         if self.steps < 0 or self.batch < 1 or self.variants < 0:
             raise InputError(f"steps {self.steps}, batch {self.batch}, variants {self.variants}; expected >= 0, 1, 0.")
+        if self.threads < 1:
+            raise InputError(f"threads is {self.threads}; expected at least 1.")
         if not 0.0 < self.noise_min <= self.noise_max:
             raise InputError(f"noise levels {self.noise_min} to {self.noise_max}; expected 0 < noise_min <= noise_max.")
 
@@ -103,7 +108,7 @@ def train(
 ) -> TrainResult:
     """Fit a field to the training grasps of a dataset. Test grasps are encoded but never trained on.
 
-    Deterministic on one machine: the same dataset, config and thread count give the same weights.
+    Deterministic: the same dataset and config give the same weights. Torch runs on `config.threads` threads meanwhile.
 
     Raises:
         UnknownNameError: a hand or object of the dataset is not given.
@@ -114,13 +119,24 @@ def train(
             if name not in given:
                 raise unknown_name(kind, name, given)
     field = untrained_field(dataset, hands=hands, objects=objects)
-    codebook = encode_dataset(field, dataset)
-    generator = torch.Generator().manual_seed(child_seed(config.seed, "decoder"))
-    decoder = _new_decoder(dataset.hands, config.decoder, generator)
-    data = {name: _hand_data(field, dataset, name, config) for name in dataset.hands}
-    losses = _optimise(field, decoder, data, config, generator, progress)
+    with _torch_threads(config.threads):
+        codebook = encode_dataset(field, dataset)
+        generator = torch.Generator().manual_seed(child_seed(config.seed, "decoder"))
+        decoder = _new_decoder(dataset.hands, config.decoder, generator)
+        data = {name: _hand_data(field, dataset, name, config) for name in dataset.hands}
+        losses = _optimise(field, decoder, data, config, generator, progress)
     field.decoder = decoder.eval().requires_grad_(False)
     return TrainResult(field=field, codebook=codebook, losses=losses, config=config)
+
+
+@contextmanager
+def _torch_threads(count: int) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def untrained_field(
