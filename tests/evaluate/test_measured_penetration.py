@@ -10,6 +10,7 @@ import pytest
 from neuralgrasps.evaluate.grasps import measured_penetration
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
+from neuralgrasps.hands.hand import ConvexPart, PartKind
 from neuralgrasps.hands.zoo import load_hand
 
 HALF = np.array([0.02, 0.03, 0.05])
@@ -65,3 +66,31 @@ def test_the_grid_is_not_what_is_measured(hand, box):
     coarse = replace(box, sdf=replace(box.sdf, values=box.sdf.values + 0.002))  # a grid that is 2 mm off
     exact = measured_penetration(hand, box, _grasps(hand, [0.017]))
     assert measured_penetration(hand, coarse, _grasps(hand, [0.017])) == pytest.approx(exact)
+
+
+@pytest.mark.parametrize("spacing", [0.002, 0.004])
+def test_an_edge_that_cuts_into_a_flat_link_between_its_points_is_found(make_object, spacing):
+    """A box stands on its edge in a 40 x 40 mm plate, 1.5 mm deep: no plate point and no face point is that deep."""
+    panda = load_hand("panda")
+    plate = ConvexPart(link=0, kind=PartKind.BOX, size=np.array([0.02, 0.02, 0.005]), X_LP=np.eye(4))
+    hand = replace(panda, parts=(plate,))
+    obj = make_object("box", box_mesh([0.01, 0.01, 0.015]), cells=60)
+    X_OH = np.eye(4)  # the plate's z along the box's diagonal in x and z, its y along the edge
+    side = np.sqrt(0.5)
+    X_OH[:3, :3] = np.array([[side, 0, side], [0, 1, 0], [-side, 0, side]])
+    corner = np.array([0.01, 0.0, 0.015])
+    X_OH[:3, 3] = corner + X_OH[:3, 2] * (0.005 - 0.0015)
+    grasps = _grasps(hand, [0.02])
+    grasps = replace(grasps, X_OH=X_OH[None])
+    assert measured_penetration(hand, obj, grasps, spacing=spacing) == pytest.approx(0.0015, abs=1e-9)
+
+
+def test_points_of_the_object_alone_can_find_the_overlap(make_object):
+    """A pin stands in the middle of a plate, far from the plate's edges and thinner than the spacing of its points."""
+    panda = load_hand("panda")
+    plate = ConvexPart(link=0, kind=PartKind.BOX, size=np.array([0.02, 0.02, 0.005]), X_LP=np.eye(4))
+    hand, pin = replace(panda, parts=(plate,)), make_object("box", box_mesh([0.0004, 0.0004, 0.02]), cells=60)
+    X_OH = np.eye(4)
+    X_OH[:3, 3] = 0.0007, 0.0003, -0.025 + 0.002
+    grasps = replace(_grasps(hand, [0.02]), X_OH=X_OH[None])
+    assert measured_penetration(hand, pin, grasps) == pytest.approx(0.002, abs=1e-9)

@@ -1,7 +1,8 @@
 """How deep a hand overlaps an object or itself.
 
-Depths are metres, >= 0, and are found at points: they are below the true depth by at most what fits between
-neighbouring points (with 4 mm spacing about 0.1-0.5 mm). Use a hand packed with fine points for final figures.
+Depths are metres, >= 0, and are found at points: they are below the true depth by what fits between neighbouring
+points. An edge that cuts into a face between points half a spacing to its sides is missed by up to half a spacing, so
+probe the object along its edges too (`probe_surface`), and use a hand packed with fine points for final figures.
 """
 
 from __future__ import annotations
@@ -12,11 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from neuralgrasps.geometry.mesh import Mesh, signed_distance
 from neuralgrasps.geometry.pose_kernels import moved_point, rigid_inverse, rigid_product
-from neuralgrasps.geometry.sdf_grid import SdfGrid, grid_distance
+from neuralgrasps.geometry.sdf_grid import SdfGrid, grid_distance, query_grid_numpy
 from neuralgrasps.grasps.contact import link_is_farther, link_pose_in_object
+from neuralgrasps.grasps.probe_points import ProbePoints, group_points
 from neuralgrasps.hands.packed import PackedHand, pose_links
 
+_NEAR_M = 0.006  # points farther outside by the grid cannot be inside the mesh
 _BOX, _SPHERE, _CAPSULE, _CYLINDER = 0, 1, 2, 3  # hands.hand.PartKind; the rest are hulls
 
 
@@ -76,10 +80,11 @@ def hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH, X_HL): 
 
 
 @njit(cache=True, error_model="numpy")
-def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_OH, X_HL):  # type: ignore[no-untyped-def]
-    """Largest depth of object surface points (P, 3) in the hand's convex parts, metres, >= 0.
+def object_points_in_hand(probe, packed, X_OH, X_HL):  # type: ignore[no-untyped-def]
+    """Largest depth of object surface points (`ProbePoints` in O) in the hand's convex parts, metres, >= 0.
 
-    The grid only skips parts that cannot reach the object.
+    A depth changes by no more than the way a point moves, so a group whose ball's middle is farther outside
+    than the ball's radius is passed over.
     """
     X_OL, X_LO, X_PO = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4))
     deepest = 0.0
@@ -87,16 +92,18 @@ def object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_O
         link_pose_in_object(X_OH, X_HL, packed.part_link[part], X_OL)
         m, radius = packed.part_centre[part], packed.part_radius[part]
         cx, cy, cz = moved_point(X_OL, m[0], m[1], m[2])
-        if grid_distance(sdf_values, origin, inv_spacing, cx, cy, cz) > radius + 1.0 / inv_spacing:
-            continue
         rigid_inverse(X_OL, X_LO)
         rigid_product(packed.part_X_PL[part], X_LO, X_PO)
-        for i in range(len(points_O)):
-            x, y, z = points_O[i, 0], points_O[i, 1], points_O[i, 2]
-            if (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2 >= radius * radius:
+        for g in range(len(probe.radius)):
+            x, y, z = probe.centre[g, 0], probe.centre[g, 1], probe.centre[g, 2]
+            if (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2 >= (radius + probe.radius[g]) ** 2:
                 continue
             u, v, w = moved_point(X_PO, x, y, z)
-            deepest = max(deepest, depth_in_part(packed, part, u, v, w))
+            if depth_in_part(packed, part, u, v, w) + probe.radius[g] <= deepest:
+                continue
+            for i in range(probe.start[g], probe.start[g + 1]):
+                u, v, w = moved_point(X_PO, probe.points[i, 0], probe.points[i, 1], probe.points[i, 2])
+                deepest = max(deepest, depth_in_part(packed, part, u, v, w))
     return deepest
 
 
@@ -160,27 +167,71 @@ def self_penetration(packed, X_HL):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _depths(points_O, sdf_values, origin, inv_spacing, packed, X_OH, q, out):  # type: ignore[no-untyped-def]
+def _depths(probe, sdf_values, origin, inv_spacing, packed, X_OH, q, out):  # type: ignore[no-untyped-def]
     X_HL = np.empty((len(packed.parents), 4, 4))
     for n in range(len(X_OH)):
         pose_links(packed, q[n], X_HL)
         out[0, n] = hand_points_in_object(sdf_values, origin, inv_spacing, packed, X_OH[n], X_HL)
-        out[1, n] = object_points_in_hand(points_O, sdf_values, origin, inv_spacing, packed, X_OH[n], X_HL)
+        out[1, n] = object_points_in_hand(probe, packed, X_OH[n], X_HL)
         out[2, n] = self_penetration(packed, X_HL)
 
 
 def penetration_depths(
-    packed: PackedHand, sdf: SdfGrid, points_O: np.ndarray, *, X_OH: np.ndarray, q: np.ndarray
+    packed: PackedHand, sdf: SdfGrid, points_O: np.ndarray | ProbePoints, *, X_OH: np.ndarray, q: np.ndarray
 ) -> PenetrationDepths:
     """Depths of N grasps.
 
     Args:
         packed: the hand; its points decide the resolution.
-        sdf: the object's distances; points_O: (P, 3) its surface points, object frame, metres.
+        sdf: the object's distances.
+        points_O: (P, 3) the object's surface points, object frame, metres; or these in groups (`probe_surface`).
         X_OH: (N, 4, 4) float64; q: (N, J) float64.
     """
     out = np.zeros((3, len(X_OH)))
-    points = np.ascontiguousarray(points_O, np.float64)
+    probe = points_O if isinstance(points_O, ProbePoints) else group_points(points_O)
     X, joints = np.ascontiguousarray(X_OH, np.float64), np.ascontiguousarray(q, np.float64)
-    _depths(points, sdf.values, sdf.origin, sdf.inv_spacing, packed, X, joints, out)
+    _depths(probe, sdf.values, sdf.origin, sdf.inv_spacing, packed, X, joints, out)
     return PenetrationDepths(*out)
+
+
+@njit(cache=True, error_model="numpy")
+def _object_depths(probe, packed, X_OH, q, out):  # type: ignore[no-untyped-def]
+    X_HL = np.empty((len(packed.parents), 4, 4))
+    for n in range(len(X_OH)):
+        pose_links(packed, q[n], X_HL)
+        out[n] = object_points_in_hand(probe, packed, X_OH[n], X_HL)
+
+
+def object_depths(packed: PackedHand, probe: ProbePoints, *, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(N,) largest depth of the object's points in the exact parts of N posed hands, metres, >= 0; no grid is used."""
+    out = np.zeros(len(X_OH))
+    _object_depths(probe, packed, np.ascontiguousarray(X_OH, np.float64), np.ascontiguousarray(q, np.float64), out)
+    return out
+
+
+def _links(packed: PackedHand, q: np.ndarray) -> np.ndarray:
+    X_HL = np.empty((len(packed.parents), 4, 4))
+    pose_links(packed, np.ascontiguousarray(q, np.float64), X_HL)
+    return X_HL
+
+
+def mesh_depths(packed: PackedHand, mesh: Mesh, sdf: SdfGrid, *, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """(N,) largest depth of the hand's points in the object's mesh at N poses and postures, metres, >= 0.
+
+    The distances are the mesh's own; `sdf` only tells which points may be the deepest.
+    """
+    depth = np.zeros(len(X_OH))
+    owner, points_O = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
+    for n in range(len(X_OH)):
+        X_OL = X_OH[n] @ _links(packed, q[n])
+        points = np.empty((len(packed.point_L), 3))
+        for link in range(len(X_OL)):
+            own = slice(packed.link_point_start[link], packed.link_point_start[link + 1])
+            points[own] = packed.point_L[own] @ X_OL[link, :3, :3].T + X_OL[link, :3, 3]
+        by_grid = query_grid_numpy(sdf, points)
+        # the grid is off by less than a cell either way
+        near = by_grid < min(by_grid.min(initial=np.inf) + 2.0 * sdf.spacing, _NEAR_M)
+        points_O.append(points[near])
+        owner.append(np.full(int(near.sum()), n))
+    np.maximum.at(depth, np.concatenate(owner), -signed_distance(mesh, np.concatenate(points_O)))
+    return depth

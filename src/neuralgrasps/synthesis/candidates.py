@@ -11,6 +11,7 @@ from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.epsilon import epsilon, epsilon_upper_bound
 from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
+from neuralgrasps.grasps.probe_points import ProbePoints, probe_hand, probe_surface
 from neuralgrasps.grasps.wrench_space import characteristic_length, fill_grasp_wrenches
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand, pack_hand, pose_links
@@ -21,6 +22,7 @@ from neuralgrasps.synthesis.clusters import Clusters, cluster_points, hand_clear
 CONE_EDGES = 8
 CONTACTS_PER_LINK = 3
 SPACING_M = 0.004  # of the hand's surface points; at 9 mm, round links overlap by 2 mm between the points
+PROBE_SPACING_M = 0.002  # of the points, and along the edges, that look for overlap between those
 # Outcome of one candidate, from first to last obstacle.
 COLLIDES, FEW_CONTACTS, NO_FORCE_CLOSURE, PENETRATES, SELF_COLLIDES, VALID = range(6)
 OUTCOMES = ("collides", "few contacts", "no force closure", "penetrates", "self-collides", "valid")
@@ -64,6 +66,8 @@ class GraspProblem:
     hand: Hand
     obj: ObjectModel
     packed: PackedHand
+    probe: ProbePoints
+    hand_probe: PackedHand
     clusters: Clusters
     closing: Closing
     length: float
@@ -100,6 +104,8 @@ def make_problem(
         hand=hand,
         obj=obj,
         packed=packed,
+        probe=probe_surface(obj.mesh, spacing=PROBE_SPACING_M),
+        hand_probe=probe_hand(hand, spacing=PROBE_SPACING_M),
         clusters=clusters,
         closing=make_closing(hand),
         length=characteristic_length(obj.points_O, obj.com_O),
@@ -132,7 +138,7 @@ def _open_idle(packed, closing, contact_links, q_start, q, X_HL):  # type: ignor
 
 @njit(cache=True, error_model="numpy")
 def _close_and_assess(  # type: ignore[no-untyped-def]
-    values, origin, inv_spacing, packed, clusters, closing, is_jaw, points_O, com, length, friction, torsion, threshold,
+    values, origin, inv_spacing, packed, clusters, closing, is_jaw, probe, com, length, friction, torsion, threshold,
     max_penetration, q_start, X_OH, q, eps, penetration, outcome,
 ):  # fmt: skip
     links = packed.link_radius.shape[0]
@@ -175,7 +181,7 @@ def _close_and_assess(  # type: ignore[no-untyped-def]
             own_depth = self_penetration(packed, X_HL)
         depth = max(
             -hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH[i], X_HL),
-            object_points_in_hand(points_O, values, origin, inv_spacing, packed, X_OH[i], X_HL),
+            object_points_in_hand(probe, packed, X_OH[i], X_HL),
         )
         penetration[i] = max(depth, 0.0)
         if depth > max_penetration:
@@ -196,7 +202,7 @@ def close_and_assess(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> 
     closed, count = q_start.copy(), len(q_start)
     eps, depth, outcome = np.zeros(count), np.zeros(count), np.zeros(count, np.int8)
     _close_and_assess(
-        *problem.sdf_arrays, problem.packed, problem.clusters, problem.closing, hand.is_jaw, obj.points_O, obj.com_O,
+        *problem.sdf_arrays, problem.packed, problem.clusters, problem.closing, hand.is_jaw, problem.probe, obj.com_O,
         problem.length, problem.friction, problem.torsion, problem.contact_threshold_m, problem.max_penetration_m,
         q_start, X_OH, closed, eps, depth, outcome,
     )  # fmt: skip

@@ -10,7 +10,7 @@ from numba import njit
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.epsilon import STARTS, epsilon
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
-from neuralgrasps.grasps.penetration import penetration_depths
+from neuralgrasps.grasps.penetration import mesh_depths, penetration_depths
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
 from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.kinematics.forward_kernels import forward_fast
@@ -35,7 +35,8 @@ def finish_grasps(
         seed, config: provenance.
     """
     hand, obj = problem.hand, problem.obj
-    depth = penetration_depths(problem.packed, obj.sdf, obj.points_O, X_OH=closed.X_OH, q=closed.q).deepest
+    depth = penetration_depths(problem.packed, obj.sdf, problem.probe, X_OH=closed.X_OH, q=closed.q).deepest
+    depth = np.maximum(depth, mesh_depths(problem.hand_probe, obj.mesh, obj.sdf, X_OH=closed.X_OH, q=closed.q))
     shallow = depth <= problem.max_penetration_m
     closed, depth = closed.take(shallow), depth[shallow]
     if len(closed) == 0:
