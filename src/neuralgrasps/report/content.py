@@ -55,7 +55,7 @@ class GraspFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContactFigure:
-    """A contact map drawn on the object. `area_share`: share of the surface in contact (map above 0.5), 0..1."""
+    """A contact map drawn on the object. `area_share`: share of the surface within 4 mm of the hand, 0..1."""
 
     hand: str
     object: str

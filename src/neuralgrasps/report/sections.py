@@ -55,14 +55,14 @@ def hands_section(hands: Sequence[HandFigure], pictures: PictureEncoder) -> str:
         f'<div class="note">{escape(h.text)}</div></figcaption></figure>'
         for h in hands
     ]
-    return _grid(cards)
+    return grid(cards)
 
 
 def grasps_section(grasps: Sequence[GraspFigure], pictures: PictureEncoder) -> str:
     parts = []
     for name in _unique(g.object for g in grasps):
         cards = [_grasp_card(g, pictures) for g in grasps if g.object == name]
-        parts.append(f"<h3>{escape(pretty_name(name))}</h3>{_grid(cards)}")
+        parts.append(f"<h3>{escape(pretty_name(name))}</h3>{grid(cards)}")
     return "".join(parts)
 
 
@@ -71,11 +71,11 @@ def contacts_section(contacts: Sequence[ContactFigure], pictures: PictureEncoder
     for name in _unique(c.object for c in contacts):
         cards = []
         for c in (c for c in contacts if c.object == name):
-            share = [("touched", f"{100 * c.area_share:.1f} % of surface")] if c.area_share is not None else []
+            share = [("within 4 mm", f"{100 * c.area_share:.1f} % of surface")] if c.area_share is not None else []
             words = f"Contact map of {c.hand} on {pretty_name(c.object)}."
             caption = f"<figcaption>{_hand_title(c.hand)}{_facts(share)}{_note(c.note)}</figcaption>"
             cards.append(f"<figure>{pictures.button(c.image, words)}{caption}</figure>")
-        parts.append(f"<h3>{escape(pretty_name(name))}</h3>{_grid(cards)}")
+        parts.append(f"<h3>{escape(pretty_name(name))}</h3>{grid(cards)}")
     return "".join(parts)
 
 
@@ -102,7 +102,7 @@ def transfer_section(transfers: Sequence[TransferFigure], pictures: PictureEncod
         )
         caption = f'<figcaption><div class="top">{title}</div>{facts}{_note(t.text)}</figcaption>'
         cards.append(f'<figure><div class="pair">{buttons}</div>{caption}</figure>')
-    return _grid(cards, wide=True)
+    return grid(cards, wide=True)
 
 
 def latent_section(maps: Sequence[LatentMap]) -> str:
@@ -112,7 +112,7 @@ def latent_section(maps: Sequence[LatentMap]) -> str:
         title = f'<div class="top">{escape(pretty_name(m.title))}<span class="chip">{len(m.hands)} grasps</span></div>'
         cards.append(f'<figure><div class="plot">{svg}</div><figcaption>{title}{_note(m.text)}</figcaption></figure>')
     hands = [hand for m in maps for hand in m.hands]
-    return legend_html(hands) + _grid(cards, wide=True)
+    return legend_html(hands) + grid(cards, wide=True)
 
 
 def pose_section(poses: Sequence[PoseFigure], pictures: PictureEncoder) -> str:
@@ -130,7 +130,7 @@ def pose_section(poses: Sequence[PoseFigure], pictures: PictureEncoder) -> str:
         facts = [(label, value) for label, value in facts if value != "–"]
         caption = f'<figcaption><div class="top">{escape(name)}</div>{_facts(facts)}{_note(p.note)}</figcaption>'
         cards.append(f'<figure><div class="pair">{buttons}</div>{caption}</figure>')
-    return _grid(cards, wide=True)
+    return grid(cards, wide=True)
 
 
 def _grasp_card(grasp: GraspFigure, pictures: PictureEncoder) -> str:
@@ -191,8 +191,10 @@ def _number(value: float | None, form: str = "", unit: str = "") -> str:
     return f"{text}{gap}{unit}"
 
 
-def _grid(cards: Sequence[str], *, wide: bool = False) -> str:
-    return f'<div class="grid{" wide" if wide else ""}">{"".join(cards)}</div>'
+def grid(cards: Sequence[str], *, wide: bool = False) -> str:
+    """Cards in columns; three wide ones stand side by side where there is room, so that none is left alone."""
+    css = "grid" if not wide else "grid wide three" if len(cards) == 3 else "grid wide"
+    return f'<div class="{css}">{"".join(cards)}</div>'
 
 
 def pretty_name(name: str) -> str:

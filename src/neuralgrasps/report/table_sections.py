@@ -11,7 +11,7 @@ from neuralgrasps.evaluate.published import PUBLISHED_RETRIEVAL, plain_name
 from neuralgrasps.report.charts import bars_svg, histogram_svg, legend_html, short_number
 from neuralgrasps.report.content import Histogram, ModelRow, StageTime, SynthesisRow, Table
 from neuralgrasps.report.palette import HAND_COLOURS, hand_colour
-from neuralgrasps.report.sections import pretty_name
+from neuralgrasps.report.sections import grid, pretty_name
 
 Cell = str | float | int | None
 
@@ -45,7 +45,7 @@ def synthesis_table(rows: Sequence[SynthesisRow]) -> Table:
         rows=tuple(body),
         strong_rows=(len(rows),) if len(rows) > 1 else (),
         meaning="Valid grasps passed every geometric test; tried ones went through the physics trial, and held "
-        "ones kept the object. The last row adds up, and shows the largest overlap.",
+        "ones kept the object." + (" The last row adds up, and shows the largest p95." if len(rows) > 1 else ""),
         how="Overlap is how deep hand and object cut into each other, its 95th percentile over the kept "
         "grasps. ε is the radius of the largest ball of wrenches that the contacts resist.",
     )
@@ -167,7 +167,7 @@ def histograms_html(histograms: Sequence[Histogram]) -> str:
             f'<figcaption><div class="top">{escape(h.title)}</div>{legend_html(list(h.values))}{note}</figcaption>'
         )
         cards.append(f'<figure><div class="plot">{svg}</div>{caption}</figure>')
-    return f'<div class="grid wide">{"".join(cards)}</div>' if cards else ""
+    return grid(cards, wide=True) if cards else ""
 
 
 def _cell(value: Cell) -> str:

@@ -11,15 +11,19 @@
   });
   var links = {};
   document.querySelectorAll('nav a').forEach(function (link) { links[link.hash.slice(1)] = link; });
-  if ('IntersectionObserver' in window) {
-    var watch = new IntersectionObserver(function (entries) {
-      entries.forEach(function (entry) {
-        if (entry.isIntersecting) {
-          Object.values(links).forEach(function (link) { link.classList.remove('here'); });
-          links[entry.target.id].classList.add('here');
-        }
-      });
-    }, { rootMargin: '-20% 0px -70% 0px' });
-    Object.keys(links).forEach(function (id) { watch.observe(document.getElementById(id)); });
+  var names = Object.keys(links), waiting = false;
+  function mark() {
+    var root = document.documentElement, here = names[0], edge = 0.3 * window.innerHeight;
+    var atEnd = window.scrollY > 0 ? window.scrollY + window.innerHeight + 2 >= root.scrollHeight : false;
+    waiting = false;
+    names.forEach(function (id) {
+      if (atEnd || edge >= document.getElementById(id).getBoundingClientRect().top) { here = id; }
+    });
+    names.forEach(function (id) { links[id].classList.toggle('here', id === here); });
   }
+  function later() {
+    if (!waiting) { waiting = true; window.requestAnimationFrame(mark); }
+  }
+  ['scroll', 'resize', 'load'].forEach(function (kind) { window.addEventListener(kind, later, { passive: true }); });
+  mark();
 })();
