@@ -2,7 +2,8 @@
 
 Everything is measured by moving the model: fingers are the branches of the tree; a finger's flexion joints are those
 parallel to its last one; they close towards the end of their range where the fingertip is nearer to the palm and to the
-other tips; the palm faces where closing fingertips go; the thumb is the finger that closes against the others.
+other tips; the palm faces where closing fingertips go; the thumb is the finger that closes against the others. Equal
+fingers around an axis are recognised first and treated alike (see `radial`). Doubts are said, never hidden.
 """
 
 from __future__ import annotations
@@ -14,14 +15,19 @@ import numpy as np
 
 from neuralgrasps.errors import RobotDescriptionError
 from neuralgrasps.hands.closing import MovableHand, closing_shares, movable_hand, open_and_closed, sliding_joints, unit
+from neuralgrasps.hands.contact import SelfContact, doubts
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
+from neuralgrasps.hands.radial import RadialHand, alike, radial_hand
 from neuralgrasps.kinematics.tree import KinematicTree
 
 HALF_CLOSED = 0.5
 PRESHAPE_SHARE = 0.45  # of the way from open to closed
 WIDE_SPREAD = 1.5  # rad: a sideways joint with more range than this is a spread to choose freely
 PAD_LENGTH = 0.02  # metres of a jaw's finger taken as its pad
+FREE_RANGE, QUARTER_TURN = 4.5, np.pi / 2  # rad: a wider joint has no real limits; it is used this far either way
+SIDEWAYS_MARGIN = 0.2  # rad: how far joints across the closing direction stray in a preshape of equal fingers
+UNCLEAR_SIDE = 0.1
 LATE_MEETING, SAME_WAY = 0.03, 0.02  # metres of gap that a last-moment, or an unopposed, meeting is worth
 _GRID = 7
 
@@ -44,7 +50,29 @@ def complete_notes(
         raise RobotDescriptionError(f"hand '{name}' has no movable joints; expected at least one.")
     if _is_complete(tree, given):
         return given, ()
-    model = movable_hand(name, tree, parts, given)
+    model = movable_hand(name, _working_ranges(tree), parts, given)
+    contact = SelfContact(model, parts)
+    radial = radial_hand(model, contact, normal_H=None if given.X_HP is None else given.X_HP[:3, 2])
+    if radial is None:
+        notes, guessed = _from_motion(model, given)
+    else:
+        notes, guessed = _from_symmetry(model, radial, given)
+    warning = _warning(model, contact, notes, 1.0 if radial is None else radial.certainty)
+    return notes, _sentences(tree, given, notes, guessed) + warning
+
+
+def _working_ranges(tree: KinematicTree) -> KinematicTree:
+    """The tree with turning joints of no real limits (a full turn) held to a quarter turn either way."""
+    is_free = (tree.upper - tree.lower > FREE_RANGE) & ~sliding_joints(tree)
+    gear = np.maximum(np.abs(tree.coupling).max(axis=0), 1e-9)
+    reach = QUARTER_TURN / np.maximum(gear, 1.0)
+    middle = np.clip(0.0, tree.lower + reach, tree.upper - reach)
+    lower = np.where(is_free, middle - reach, tree.lower)
+    return replace(tree, lower=lower, upper=np.where(is_free, middle + reach, tree.upper))
+
+
+def _from_motion(model: MovableHand, given: HandNotes) -> tuple[HandNotes, dict[str, JointNotes]]:
+    """Notes from how the fingers move; also what was guessed per joint."""
     closing = closing_shares(model)
     q_open, q_closed = open_and_closed(model, closing)
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
@@ -54,11 +82,53 @@ def complete_notes(
         q_open, q_closed = _oppose(model, closing, thumb, q_open, q_closed)
     pad = _jaw_pad(model, q_open, normal) if is_jaw and given.jaw_pad_H is None else given.jaw_pad_H
     X_HP = given.X_HP if given.X_HP is not None else _palm(model, q_open, q_closed, normal, pad)
-    fingers = given.fingers or _finger_notes(tree, model.fingers, thumb)
     guessed = _joint_notes(model, closing, q_open, q_closed, normal, thumb, is_jaw)
-    joints = {n: _merge(given.joints.get(n, JointNotes()), guessed[n]) for n in tree.dof_names}
-    notes = replace(given, is_jaw=is_jaw, jaw_pad_H=pad, X_HP=X_HP, fingers=fingers, joints=joints)
-    return notes, _sentences(tree, given, notes, guessed)
+    notes = replace(given, is_jaw=is_jaw, jaw_pad_H=pad, X_HP=X_HP)
+    return _filled(model, notes, guessed, thumb), guessed
+
+
+def _from_symmetry(model: MovableHand, radial: RadialHand, given: HandNotes) -> tuple[HandNotes, dict[str, JointNotes]]:
+    """Notes of a hand with equal fingers around an axis, none of them a thumb unless it is called so."""
+    tree = model.tree
+    thumb = _named_thumb(model) if given.fingers is None else _given_thumb(given)
+    X_HP = given.X_HP
+    if X_HP is None:
+        middle = (
+            radial.centre_H + ((model.palm_centre(radial.q_open) - radial.centre_H) @ radial.axis_H) * radial.axis_H
+        )
+        X_HP = palm_frame(_on_palm(model, radial.q_open, middle, radial.axis_H), -radial.radial_H[0], radial.axis_H)
+    guessed = {}
+    for j, name in enumerate(tree.dof_names):
+        start, end = radial.q_open[j], radial.q_open[j] + PRESHAPE_SHARE * (radial.q_closed - radial.q_open)[j]
+        if radial.closing[j] == 0 and not model.moved[list(model.palm_links), j].any():
+            margin = min(0.1 * (tree.upper[j] - tree.lower[j]), SIDEWAYS_MARGIN)
+            start, end = max(tree.lower[j], start - margin), min(tree.upper[j], start + margin)
+        guessed[name] = JointNotes(
+            close=float(radial.closing[j]),
+            open=float(radial.q_open[j]),
+            preshape=(float(min(start, end)), float(max(start, end))),
+            group="curl" if radial.closing[j] != 0 else name,
+        )
+    notes = replace(given, is_jaw=bool(given.is_jaw), X_HP=X_HP)
+    return _filled(model, notes, guessed, thumb), guessed
+
+
+def _filled(model: MovableHand, notes: HandNotes, guessed: dict[str, JointNotes], thumb: int | None) -> HandNotes:
+    joints = {n: _merge(notes.joints.get(n, JointNotes()), guessed[n]) for n in model.tree.dof_names}
+    return replace(notes, fingers=notes.fingers or _finger_notes(model.tree, model.fingers, thumb), joints=joints)
+
+
+def _warning(model: MovableHand, contact: SelfContact, notes: HandNotes, certainty: float) -> tuple[str, ...]:
+    """One sentence if the hand does not close sensibly as annotated."""
+    joints = [notes.joints[n] for n in model.tree.dof_names]
+    q_open, closing = np.array([j.open for j in joints], float), np.array([j.close for j in joints], float)
+    q_closed = np.where(closing > 0, model.tree.upper, np.where(closing < 0, model.tree.lower, q_open))
+    found = doubts(model, contact, closing, q_open, q_closed)
+    if certainty < UNCLEAR_SIDE:
+        found = (*found, "nothing in the file tells on which side of the base the palm is")
+    if not found:
+        return ()
+    return (f"the annotation looks wrong: {'; '.join(found)}; override it with hand.toml.",)
 
 
 def _is_complete(tree: KinematicTree, given: HandNotes) -> bool:
@@ -116,17 +186,22 @@ def _lateral_motion(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray
 
 def _thumb(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> int | None:
     """The finger called thumb, or of three or more the one that closes most against the others."""
+    named = _named_thumb(model)
+    if named is not None or len(model.fingers) < 3:
+        return named
+    motion = _lateral_motion(model, q_open, q_closed, normal)
+    agreement = [unit(m) @ unit(np.delete(motion, f, axis=0).sum(axis=0)) for f, m in enumerate(motion)]
+    f = int(np.argmin(agreement))
+    return f if agreement[f] < 0.5 else None
+
+
+def _named_thumb(model: MovableHand) -> int | None:
     tree = model.tree
     for f, finger in enumerate(model.fingers):
         names = [tree.link_names[i].lower() for i in finger] + [tree.joint_names[i].lower() for i in finger]
         if any("thumb" in n for n in names):
             return f
-    if len(model.fingers) < 3:
-        return None
-    motion = _lateral_motion(model, q_open, q_closed, normal)
-    agreement = [unit(m) @ unit(np.delete(motion, f, axis=0).sum(axis=0)) for f, m in enumerate(motion)]
-    f = int(np.argmin(agreement))
-    return f if agreement[f] < 0.5 else None
+    return None
 
 
 def _given_thumb(given: HandNotes) -> int | None:
@@ -150,7 +225,8 @@ def _oppose(
     """
     tree, own = model.tree, _own_dofs(model, thumb)
     slack = np.abs(q_open - np.where(closing > 0, tree.lower, tree.upper)) / (tree.upper - tree.lower)
-    turned = [j for j in own if closing[j] == 0 or slack[j] > 0.3][:3]
+    is_like_others = all(alike(model, thumb, f) for f in range(len(model.fingers)))
+    turned = [j for j in own if closing[j] == 0 or (slack[j] > 0.3 and not is_like_others)][:3]
     if not turned or len(model.fingers) < 2:
         return q_open, q_closed
     fixed = [k for k, j in enumerate(turned) if closing[j] == 0]
@@ -212,13 +288,7 @@ def _palm(
     model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray, pad: np.ndarray | None
 ) -> np.ndarray:
     """X_HP: on the palm's surface under the pads (jaws) or at the palm's middle; x is the closing direction."""
-    points, _ = model.cloud_H(model.palm_links, q_open)
-    origin = model.palm_centre(q_open) if pad is None else pad
-    offset = points - origin
-    beside = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1) < 0.025
-    height = (offset[beside] if beside.any() else offset) @ normal
-    if len(height):
-        origin = origin + height.max() * normal
+    origin = _on_palm(model, q_open, model.palm_centre(q_open) if pad is None else pad, normal)
     motion = _lateral_motion(model, q_open, q_closed, normal)
     _, _, axes = np.linalg.svd(motion)
     along = axes[0] - (axes[0] @ normal) * normal
@@ -227,6 +297,15 @@ def _palm(
     if motion.sum(axis=0) @ along < 0:
         along = -along
     return palm_frame(origin, along, normal)
+
+
+def _on_palm(model: MovableHand, q: np.ndarray, point_H: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """The point moved along the normal onto the palm's surface beside it."""
+    points, _ = model.cloud_H(model.palm_links, q)
+    offset = points - point_H
+    beside = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1) < 0.025
+    height = (offset[beside] if beside.any() else offset) @ normal
+    return point_H + height.max() * normal if len(height) else point_H
 
 
 def couple_jaw(
