@@ -12,7 +12,6 @@ from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.finish import clear_pregrasps, finish_grasps
 from neuralgrasps.synthesis.propose import propose_dexterous, propose_jaw
 from neuralgrasps.synthesis.squeeze import (
-    CLOSING_BIAS_RAD,
     EFFORT_SHARE,
     JAW_SQUEEZE_M,
     PREGRASP_JAW_M,
@@ -63,7 +62,7 @@ def test_contact_torques_do_the_work_of_the_forces(hands, name):
 
 
 @pytest.mark.parametrize("name", ["barrett", "allegro", "human"])
-def test_squeeze_torques_reach_their_share_of_the_limit_and_no_more(problem_of, name):
+def test_commanded_torques_reach_their_share_of_the_limit_and_no_more(problem_of, name):
     problem = problem_of(name, "can")
     hand, closed = problem.hand, _valid(problem)
     stiffness = joint_scale(hand, 20.0, 3000.0)
@@ -75,7 +74,7 @@ def test_squeeze_torques_reach_their_share_of_the_limit_and_no_more(problem_of, 
         target = squeeze_joints(
             problem, closed.q[i], closed.X_OH[i], X_HL, (points[:n], normals[:n], links[:n]), stiffness=stiffness
         )
-        torque = (target - closed.q[i] - np.sign(hand.closing_rate) * CLOSING_BIAS_RAD) * stiffness
+        torque = (target - closed.q[i]) * stiffness  # what the servo is asked for at the grasp, all included
         share = np.abs(torque / hand.tree.effort)
         assert share.max() == pytest.approx(EFFORT_SHARE, abs=1e-6)
         pressing += (torque * np.sign(hand.closing_rate)).sum() > 0
@@ -87,6 +86,9 @@ def test_a_jaw_squeezes_past_contact(problem_of, jaw_on_axes):
     q = np.array([0.02])
     target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), (None, None, None), stiffness=np.ones(1))
     assert target == pytest.approx(q - JAW_SQUEEZE_M)
+    stiff = np.array([1e5])  # 10 mm of this servo would be 1000 N
+    target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), (None, None, None), stiffness=stiff)
+    assert (q - target) * stiff == pytest.approx(EFFORT_SHARE * problem.hand.tree.effort)
 
 
 def test_pregrasps_open_every_closing_joint_within_the_limits(hands):

@@ -11,8 +11,8 @@ from neuralgrasps.kinematics.jacobian import point_jacobian
 from neuralgrasps.kinematics.tree import PRISMATIC
 from neuralgrasps.synthesis.candidates import CONE_EDGES, GraspProblem
 
-EFFORT_SHARE = 0.9  # of the torque limit that the squeeze may use
-CLOSING_BIAS_RAD = 0.05  # every closing joint of a dexterous hand aims this much further
+EFFORT_SHARE = 0.9  # of its torque limit that no joint's squeeze exceeds
+CLOSING_SHARE = 0.5  # of its torque limit that every closing joint of a dexterous hand adds
 JAW_SQUEEZE_M = 0.010  # a jaw's target lies this far past contact
 PREGRASP_RAD = 0.12  # closing joints start this far back
 PREGRASP_JAW_M = 0.010
@@ -76,8 +76,9 @@ def squeeze_joints(
     """Position targets (J,) whose servo torques press on the object without pushing it away.
 
     Contact forces of least net wrench come from a quadratic programme over the friction cones; their joint torques are
-    scaled until one reaches `EFFORT_SHARE` of its limit; target = q + torque / stiffness, and closing joints
-    aim `CLOSING_BIAS_RAD` further. A jaw's target lies `JAW_SQUEEZE_M` past contact.
+    scaled until one reaches `EFFORT_SHARE` of its limit, closing joints add `CLOSING_SHARE` of theirs, and every torque
+    is clipped to `EFFORT_SHARE`; target = q + torque / stiffness. A jaw's target lies `JAW_SQUEEZE_M` past contact,
+    with the same bound. No servo is ever asked for more than `EFFORT_SHARE` of its limit.
 
     Args:
         problem: the pair.
@@ -85,14 +86,15 @@ def squeeze_joints(
         contacts: points (C, 3) and outward normals (C, 3) in O, links (C,), without padding; C >= 1.
         stiffness: (J,) servo gain, N m/rad or N/m.
     """
-    hand = problem.hand
+    hand, closing = problem.hand, np.sign(problem.hand.closing_rate)
+    most = EFFORT_SHARE * hand.tree.effort
     if hand.is_jaw:
-        return q + np.sign(hand.closing_rate) * JAW_SQUEEZE_M
+        return q + np.clip(closing * JAW_SQUEEZE_M * stiffness, -most, most) / stiffness
     points, normals, links = contacts
     balance = contact_forces(
         points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
     )
     torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links)
-    share = np.abs(torque / hand.tree.effort).max()
-    target = q + torque / max(share, 1e-9) * EFFORT_SHARE / stiffness
-    return target + np.sign(hand.closing_rate) * CLOSING_BIAS_RAD
+    torque *= EFFORT_SHARE / max(np.abs(torque / hand.tree.effort).max(), 1e-9)
+    torque += closing * CLOSING_SHARE * hand.tree.effort
+    return q + np.clip(torque, -most, most) / stiffness
