@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from neuralgrasps.errors import InputError, UnknownNameError
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.sim.grasp_trial import validate_grasps
+from neuralgrasps.synthesis.candidates import make_problem
 from neuralgrasps.synthesis.select import grasp_features
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
@@ -84,3 +87,22 @@ def test_bad_settings_are_named(field, value):
 def test_an_unknown_protocol_is_refused_at_once():
     with pytest.raises(UnknownNameError, match="dexgraspbench"):
         SynthesisConfig(protocol="dexgraspbenhc")
+
+
+@pytest.mark.parametrize(
+    ("given", "friction", "torsion"),
+    [({}, 0.6, 0.02), ({"protocol": "dexgraspbench-hard"}, 0.3, 0.01), ({"protocol": "shake"}, 0.45, 0.02),
+     ({"protocol": "dexgraspbench-hard", "friction": 0.5, "torsion_m": 0.0}, 0.5, 0.0)],
+)  # fmt: skip
+def test_friction_is_the_protocols_unless_given_and_is_recorded(hands, solids, monkeypatch, given, friction, torsion):
+    seen = []
+
+    def spy(*args, **kwargs):
+        seen.append((kwargs["friction"], kwargs["torsion"]))
+        return make_problem(*args, **kwargs)
+
+    monkeypatch.setattr("neuralgrasps.synthesis.synthesise.make_problem", spy)
+    obj = replace(solids["box"], friction=0.45)
+    grasps = synthesise(hands["panda"], obj, config=replace(SMALL, **given), seed=1).grasps
+    assert seen == [(friction, torsion)]
+    assert (float(grasps.config["friction"]), float(grasps.config["torsion_m"])) == (friction, torsion)

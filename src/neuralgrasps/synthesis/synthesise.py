@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, concatenate
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_rng
+from neuralgrasps.sim.build import contact_friction
 from neuralgrasps.sim.grasp_trial import validate_grasps
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import (
@@ -37,8 +38,10 @@ class SynthesisConfig:
         count: validated grasps wanted.
         batch: proposals per round; max_rounds: rounds before giving up.
         protocol: physics protocol that decides (see `sim.protocols`).
-        friction: Coulomb coefficient for epsilon; torsion_m: torsional friction, metres. As in the protocol.
-        max_penetration_m: a grasp that overlaps the object or itself by more, at 4 mm point spacing, is dropped.
+        friction: Coulomb coefficient for epsilon and the squeeze; torsion_m: torsional friction, metres. None takes the
+            protocol's on this object; `grasps.config` records the values used.
+        max_penetration_m: a grasp that overlaps the object by more at points of either surface 2 mm apart, or itself at
+            points 4 mm apart, is dropped.
         contact_threshold_m: hand points nearer than this to the object are contacts.
         niches: diverse candidates that are refined in each round; generations, children: of the refinement.
         pad_depth_m: largest offset of the object's middle from the middle of a jaw's pads along the approach.
@@ -48,8 +51,8 @@ class SynthesisConfig:
     batch: int = 2048
     max_rounds: int = 12
     protocol: str = "dexgraspbench"
-    friction: float = 0.6
-    torsion_m: float = 0.02
+    friction: float | None = None
+    torsion_m: float | None = None
     max_penetration_m: float = 1.0e-3
     contact_threshold_m: float = 2.5e-3
     niches: int = 120
@@ -62,10 +65,11 @@ class SynthesisConfig:
             if getattr(self, name) < 1:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; expected at least 1.")
         for name in ("contact_threshold_m", "max_penetration_m", "generations", "torsion_m", "pad_depth_m"):
-            if not getattr(self, name) >= 0:
-                raise InputError(f"synthesis: {name} is {getattr(self, name)}; expected 0 or more.")
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise InputError(f"synthesis: {name} is {value}; expected 0 or more.")
         get_protocol(self.protocol)
-        if not 0 < self.friction < 5:
+        if self.friction is not None and not 0 < self.friction < 5:
             raise InputError(f"synthesis: friction is {self.friction}; expected a Coulomb coefficient in (0, 5).")
 
 
@@ -130,9 +134,9 @@ def synthesise(
     Source:
         Khargonkar et al. 2022 use GraspIt! simulated annealing and keep force-closure grasps; this differs throughout.
     """
-    config = config or SynthesisConfig()
+    config, friction, torsion = _with_friction(config or SynthesisConfig(), obj)
     problem = make_problem(
-        hand, obj, friction=config.friction, torsion=config.torsion_m,
+        hand, obj, friction=friction, torsion=torsion,
         contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
     )  # fmt: skip
     provenance = {name: str(value) for name, value in asdict(config).items()}
@@ -177,13 +181,21 @@ def synthesise(
     )
 
 
+def _with_friction(config: SynthesisConfig, obj: ObjectModel) -> tuple[SynthesisConfig, float, float]:
+    """The settings with the protocol's friction and torsion on `obj` in place of None, and these two."""
+    sliding, torsional, _ = contact_friction(obj, get_protocol(config.protocol))
+    friction = sliding if config.friction is None else config.friction
+    torsion = torsional if config.torsion_m is None else config.torsion_m
+    return replace(config, friction=friction, torsion_m=torsion), friction, torsion
+
+
 def _propose(problem: GraspProblem, config: SynthesisConfig, rng: np.random.Generator) -> Proposals:
     if problem.hand.is_jaw:
         return propose_jaw(
-            problem.hand, problem.obj, count=config.batch, friction=config.friction,
+            problem.hand, problem.obj, count=config.batch, friction=problem.friction,
             pad_depth_m=config.pad_depth_m, rng=rng,
         )  # fmt: skip
-    return propose_dexterous(problem, count=config.batch, friction=config.friction, rng=rng)
+    return propose_dexterous(problem, count=config.batch, friction=problem.friction, rng=rng)
 
 
 def _refine_diverse(
@@ -223,7 +235,7 @@ def _reason(problem: GraspProblem, outcomes: np.ndarray, held: int, tried: int, 
     if total == 0 and problem.hand.is_jaw:
         return (
             f"no two opposite surface points fit the aperture of {jaw_aperture(problem.hand) * 1e3:.0f} mm within "
-            f"friction {config.friction:g}; the object measures {size} mm"
+            f"friction {problem.friction:g}; the object measures {size} mm"
         )
     if total == 0:
         return f"no open hand comes near the object, which measures {size} mm"
