@@ -55,6 +55,8 @@ def test_words_of_progress() -> None:
     assert numbers_text(12, 60, 0, 4.0, "grasps") == "12/60 grasps, 3.0/s, 0:16 left"
     assert numbers_text(8, 10, 6, 60.0, "pairs") == "8/10 pairs, 2.0/min, 1:00 left"  # six were there before
     assert numbers_text(60, 60, 0, 4.0, "") == "60/60, 0:04"
+    assert numbers_text(1, 500, 0, 7.8, "") == "1/500, 0:08"  # one slow start says nothing about the rest
+    assert numbers_text(50, 500, 0, 20.0, "", rate=5.0) == "50/500, 5.0/s, 1:30 left"
     assert numbers_text(60, 0, 0, 4.0, "kB") == "60 kB, 15.0/s"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from types import TracebackType
 from typing import Self
 
@@ -14,6 +15,9 @@ from rich.text import Text
 
 SHOW_AFTER_S = 1.0
 LINE_EVERY_S = 5.0
+HEARTBEAT_S = 10.0  # outside a terminal, silent work says how long it has been running
+_RATE_WINDOW_S = 30.0
+_RATE_SHARE, _RATE_AFTER_S, _RATE_ITEMS = 0.05, 5.0, 3  # less than this says nothing about the time left
 
 
 class ProgressBar:
@@ -32,19 +36,24 @@ class ProgressBar:
         self._done, self._total, self._text = 0, 0, ""
         self._first_done = 0
         self._start = self._line_at = time.monotonic()
+        self._marks: deque[tuple[float, int]] = deque()  # when how many were done, lately
         self._timer = threading.Timer(SHOW_AFTER_S, self._show)
         self._timer.daemon = True
+        self._ended = threading.Event()
 
     def __enter__(self) -> Self:
         self._start = self._line_at = time.monotonic()
         if self._console.is_terminal:
             self._timer.start()
+        else:
+            threading.Thread(target=self._beat, daemon=True).start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._timer.cancel()
+        self._ended.set()
         with self._lock:
             self._closed = True
             if self._bar is not None:
@@ -56,6 +65,8 @@ class ProgressBar:
         """`done` of `total` (None or 0 = not known) with a few words on the latest one."""
         if self._done == 0 and done > 0 and not self._first_done and time.monotonic() - self._start < 0.05:
             self._first_done = done  # kept from an earlier run: not this run's speed
+        if done != self._done:
+            self._mark(done)
         self._done, self._total, self._text = done, total or 0, str(text)
         with self._lock:
             if self._bar is not None and not self._closed:
@@ -68,8 +79,30 @@ class ProgressBar:
         if stage != self._stage:
             self._finish_stage()
             self._stage, self._done, self._first_done = stage, 0, 0
+            self._marks.clear()
             self._start = self._line_at = time.monotonic()
         self(done, total, text)
+
+    def _mark(self, done: int) -> None:
+        now = time.monotonic()
+        self._marks.append((now, done))
+        while len(self._marks) > _RATE_ITEMS and self._marks[0][0] < now - _RATE_WINDOW_S:
+            self._marks.popleft()
+
+    @property
+    def _rate(self) -> float | None:
+        """Items per second lately, without the first, which pays for warming up; None when too few were done."""
+        marks = tuple(self._marks)  # the heartbeat's thread reads them too
+        if len(marks) < _RATE_ITEMS:
+            return None
+        (start, first), (end, last) = marks[0], marks[-1]
+        return (last - first) / (end - start) if last > first and end > start else None
+
+    def _beat(self) -> None:
+        """Outside a terminal: a line when none came for a while."""
+        while not self._ended.wait(HEARTBEAT_S / 4):
+            if time.monotonic() - self._line_at >= HEARTBEAT_S:
+                self._line()
 
     @property
     def _label(self) -> str:
@@ -97,7 +130,7 @@ class ProgressBar:
                 transient=True,
                 expand=True,
             )
-            self._bar.add_task(self._label, total=None, text="", first=0)
+            self._bar.add_task(self._label, total=None, text="", first=0, rate=None)
             self._refresh(self._bar)
             self._bar.start()
 
@@ -112,6 +145,7 @@ class ProgressBar:
             total=self._total or None,
             text=self._text,
             first=self._first_done,
+            rate=self._rate,
         )
 
     def _line(self) -> None:
@@ -119,7 +153,8 @@ class ProgressBar:
         if now - self._line_at < LINE_EVERY_S:
             return
         self._line_at = now
-        numbers = numbers_text(self._done, self._total, self._first_done, now - self._start, self._unit)
+        elapsed = now - self._start
+        numbers = numbers_text(self._done, self._total, self._first_done, elapsed, self._unit, rate=self._rate)
         self._console.print(f"{self._label}: {numbers}" + (f" ({self._text})" if self._text else ""))
 
 
@@ -133,20 +168,25 @@ class _Numbers(ProgressColumn):
     def render(self, task: Task) -> Text:
         total = int(task.total or 0)
         first = int(task.fields["first"])
-        return Text(numbers_text(int(task.completed), total, first, task.elapsed or 0.0, self._unit))
+        done, elapsed, rate = int(task.completed), task.elapsed or 0.0, task.fields["rate"]
+        return Text(numbers_text(done, total, first, elapsed, self._unit, rate=rate))
 
 
-def numbers_text(done: int, total: int, first: int, elapsed_s: float, unit: str) -> str:
-    """Count, rate and time left in words; `first` were there before the clock started."""
+def numbers_text(done: int, total: int, first: int, elapsed_s: float, unit: str, *, rate: float | None = None) -> str:
+    """Count, rate and time left in words; `first` were there before the clock started.
+
+    `rate`: of late, per second; None takes the mean. Neither is said before enough was done to know it.
+    """
     if not total and not done:
         return clock(elapsed_s)
     count = f"{done}/{total}" if total else f"{done}"
     words = [f"{count} {unit}".strip()]
     fresh = done - first
+    known = not total or fresh >= _RATE_SHARE * total or (elapsed_s >= _RATE_AFTER_S and fresh >= _RATE_ITEMS)
     if total and done >= total:  # what follows reports nothing: no rate that sinks and sinks
         words.append(clock(elapsed_s))
-    elif fresh > 0 and elapsed_s > 0:
-        rate = fresh / elapsed_s
+    elif known and fresh > 0 and elapsed_s > 0:
+        rate = rate or fresh / elapsed_s
         words.append(f"{rate:.1f}/s" if rate >= 1 else f"{rate * 60:.1f}/min")
         if total:
             words.append(f"{clock((total - done) / rate)} left")
