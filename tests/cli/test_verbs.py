@@ -12,6 +12,8 @@ from PIL import Image
 
 import neuralgrasps
 from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.sim.camera import render_depth_view
 from tests.cli.conftest import Ended, Pipeline
 
@@ -55,6 +57,21 @@ def test_synthesise_pairs(pipeline: Pipeline) -> None:
     assert record["grasps"] == 12 and [p["hand"] for p in record["pairs"]] == ["panda", "fetch"]
     assert all(p["penetration_p95_mm"] < 1.0 and 0 < p["physics_success_share"] <= 1 for p in record["pairs"])
     assert len(neuralgrasps.load_grasps(pipeline.grasps / "gelatin_box" / "panda.safetensors")) == 6
+
+
+def test_the_mass_given_for_many_pairs_is_that_of_every_object(
+    ng: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    masses: list[float] = []
+
+    def collect(folder: Path, hands: list[Hand], objects: list[ObjectModel], **_: object) -> tuple[list, list]:
+        masses.extend(obj.mass_kg for obj in objects)
+        return [], []
+
+    monkeypatch.setattr("neuralgrasps.dataset.collect.collect_grasps", collect)
+    pairs = ("--hands", "panda", "--objects", "gelatin_box", "pudding_box")
+    ng("synthesise", *pairs, "--mass-kg", 0.25, "--out-dir", tmp_path / "g")
+    assert masses == [0.25, 0.25]
 
 
 def test_synthesise_own_files_with_a_page(ng: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,6 +161,7 @@ def test_dataset_build_resumes(ng: Call, pipeline: Pipeline) -> None:
 def test_evaluate_run_and_dataset(ng: Call, pipeline: Pipeline) -> None:
     run = ng("evaluate", pipeline.run)
     assert run.code == 0 and 0 <= run.result["mean_gap"] < 0.3
+    assert "Known grasps: pose and joints given" in run.out and "subsampling only" in run.result["measured_on"]
     dataset = ng("evaluate", pipeline.dataset)
     assert dataset.code == 0 and dataset.result["grasps"] == 12
     assert all(p["held_share"] == 1 for p in dataset.result["pairs"])
