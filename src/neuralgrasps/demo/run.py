@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import torch
 
 from neuralgrasps.dataset.build import build_dataset
 from neuralgrasps.dataset.collect import collect_grasps
@@ -62,7 +60,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
                 progress=lambda *a: say("data set", *a),
             )  # fmt: skip
             dataset = read_dataset(config.out / "dataset")
-        with meter.stage("latent space"), training_threads():
+        with meter.stage("latent space"):
             trained = train(
                 dataset, hands=hands, objects=objects, progress=lambda d, t, *_: say("latent space", d, t, "")
             )
@@ -84,17 +82,6 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
         path = write_page(data, meter, workers=workers, progress=lambda *a: say("pictures", *a))
     figures = demo_figures(data, meter.stages)
     return DemoResult(report_path=path, figures=figures, summary=summary_lines(data, figures))
-
-
-@contextmanager
-def training_threads(count: int = 2) -> Iterator[None]:
-    """Train with the same number of threads on every machine, so that the weights do not depend on it."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def object_sources(config: DemoConfig) -> tuple[str, ...]:
