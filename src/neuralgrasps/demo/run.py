@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-
 from neuralgrasps.dataset.build import build_dataset
 from neuralgrasps.dataset.collect import collect_grasps
 from neuralgrasps.dataset.read import read_dataset
