@@ -153,3 +153,14 @@ def test_joints_that_open_when_said_to_close_are_reported(write_robot):
     path.with_suffix(".toml").write_text(wrong)
     said = load_hand(path).extra["annotated"]
     assert "looks wrong" in said and "fingertips closer" in said
+
+
+@pytest.mark.parametrize("limits", ["limits", "none"])
+def test_one_longer_finger_does_not_change_how_the_hand_closes(write_robot, limits):
+    text, axis = radial_urdf(count=3, limits=LIMITS[limits], seed=1)
+    plain = load_hand(write_robot(text, "plain.urdf"))
+    longer = _box("0.014 0.016 0.06", np.array([0, 0, 0.06]))
+    hand = load_hand(write_robot(text.replace('<link name="l01">', f'<link name="l01">{longer}')))
+    assert hand.X_HP[:3, 2] @ axis > np.cos(np.radians(10))
+    assert np.array_equal(np.sign(hand.closing_rate), np.sign(plain.closing_rate))
+    assert np.ptp(np.abs(hand.q_open[[0, 2, 4]])) < 1e-9 and "looks wrong" not in hand.extra["annotated"]

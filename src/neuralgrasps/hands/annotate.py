@@ -54,7 +54,9 @@ def complete_notes(
     contact = SelfContact(model, parts)
     radial = radial_hand(model, contact, normal_H=None if given.X_HP is None else given.X_HP[:3, 2])
     if radial is None:
-        notes, guessed = _from_motion(model, given)
+        notes, guessed = _from_motion(
+            model, contact, given, has_free_joints=not np.array_equal(model.tree.upper, tree.upper)
+        )
     else:
         notes, guessed = _from_symmetry(model, radial, given)
     warning = _warning(model, contact, notes, 1.0 if radial is None else radial.certainty)
@@ -71,10 +73,14 @@ def _working_ranges(tree: KinematicTree) -> KinematicTree:
     return replace(tree, lower=lower, upper=np.where(is_free, middle + reach, tree.upper))
 
 
-def _from_motion(model: MovableHand, given: HandNotes) -> tuple[HandNotes, dict[str, JointNotes]]:
+def _from_motion(
+    model: MovableHand, contact: SelfContact, given: HandNotes, *, has_free_joints: bool
+) -> tuple[HandNotes, dict[str, JointNotes]]:
     """Notes from how the fingers move; also what was guessed per joint."""
     closing = closing_shares(model)
     q_open, q_closed = open_and_closed(model, closing)
+    if has_free_joints:  # they have no ends, but the fingers meet somewhere
+        q_closed = contact.last_free(q_open, q_closed)
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
     is_jaw = _is_jaw(model, closing, q_open, q_closed) if given.is_jaw is None else given.is_jaw
     thumb = _thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else _given_thumb(given)

@@ -54,7 +54,7 @@ def radial_hand(model: MovableHand, contact: SelfContact, *, normal_H: np.ndarra
     if found is None:
         return None
     axis, centre = found
-    roots = np.array([_features(model, f)[:-1].mean(axis=0) for f in range(len(model.fingers))]) - centre
+    roots = np.array([_features(model, f)[0] for f in range(len(model.fingers))]) - centre
     radial = roots - np.outer(roots @ axis, axis)
     if np.linalg.norm(radial, axis=1).min() < 1e-3:
         return None
@@ -110,14 +110,29 @@ def alike(model: MovableHand, a: int, b: int) -> bool:
 
 
 def _symmetry_axis(model: MovableHand) -> tuple[np.ndarray, np.ndarray] | None:
-    """Unit axis and a point on it of a rotation that moves every finger onto another; None without one."""
+    """Unit axis and a point on it of a rotation that moves every finger onto another one; None without one.
+
+    Fingers of unequal length or build still count if their innermost links stand around an axis.
+    """
     count = len(model.fingers)
-    if count < 2 or not all(alike(model, 0, f) for f in range(1, count)):
+    if count < 2:
         return None
-    points = np.stack([_features(model, f) for f in range(count)])  # (F, K, 3)
     axes, types = zip(*(_joint_axes(model, f) for f in range(count)), strict=True)
-    if not len(types[0]) or (count == 2 and types[0][-1] != REVOLUTE):
+    if not all(len(t) for t in types) or (count == 2 and types[0][-1] != REVOLUTE):
         return None
+    points = [_features(model, f) for f in range(count)]
+    if all(alike(model, 0, f) for f in range(1, count)):
+        found = _common_axis(np.stack(points), np.stack(axes))
+        if found is not None:
+            return found
+    if len({int(t[0]) for t in types}) > 1:
+        return None
+    return _common_axis(np.stack([p[:1] for p in points]), np.stack([a[:1] for a in axes]))
+
+
+def _common_axis(points: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """The axis for points (F, K, 3) and joint axes (F, M, 3) of F fingers."""
+    count = len(points)
     offsets = points - points.mean(axis=0)  # a rotation's orbits lie in planes across its axis
     across = offsets.reshape(-1, 3)
     if count == 2:  # two points leave a turn open; the fingers bend about axes across the palm's
@@ -125,7 +140,7 @@ def _symmetry_axis(model: MovableHand) -> tuple[np.ndarray, np.ndarray] | None:
     axis = np.linalg.svd(across)[2][2]
     centre = points.mean(axis=(0, 1))
     for order in range(count, 1, -1):
-        if count % order == 0 and _is_symmetry(points, np.stack(axes), axis, centre, order):
+        if count % order == 0 and _is_symmetry(points, axes, axis, centre, order):
             return axis, centre
     return None
 
