@@ -98,3 +98,9 @@ def test_a_missing_folder_is_made_only_on_request(tmp_path):
 )
 def test_reasons_name_the_remedy(code, says):
     assert says in storage_reason(OSError(code, os.strerror(code)), Path("/a/b"), 3_000_000)
+
+
+def test_an_existing_folder_is_not_said_to_be_missing(tmp_path):
+    missing = OSError(errno.ENOENT, os.strerror(errno.ENOENT))
+    assert "takes no new files" in storage_reason(missing, tmp_path / "x", 0)
+    assert "does not exist" in storage_reason(missing, tmp_path / "none" / "x", 0)

@@ -31,6 +31,7 @@ def test_hands_show_and_check(ng: Call, tmp_path: Path) -> None:
     checked = ng("hands", "check", tmp_path / "mine.xml", "--picture", picture)
     assert checked.code == 0 and checked.result["derived"]
     assert "can be used" in checked.out
+    assert checked.result["following_joints"] == ["f2_spread = spread"] and "f2_spread = spread" in checked.out
     with Image.open(picture) as image:
         assert image.width == 2 * image.height and np.ptp(np.asarray(image)) > 100
 
