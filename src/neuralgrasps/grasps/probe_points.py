@@ -15,7 +15,7 @@ from neuralgrasps.hands.packed import PackedHand, pack_shapes
 from neuralgrasps.hands.parts import part_mesh, sample_part
 
 SHARP_RAD = math.radians(20.0)  # faces that meet at a larger angle make an edge that is probed
-_MOST_POINTS = 150_000  # a larger surface is sampled more coarsely
+_MOST_POINTS = 60_000  # a larger surface is sampled more coarsely
 _SEGMENTS = 64  # around the rims of a hand's cylinders
 _CELLS = 8  # side of a group's cell in spacings
 
@@ -38,7 +38,7 @@ class ProbePoints(NamedTuple):
 def probe_surface(mesh: Mesh, *, spacing: float, seed: int = 0) -> ProbePoints:
     """Points about `spacing` apart on a surface and along its sharp edges, where it cuts into something flat first.
 
-    A surface so large that this would be more than 150,000 points is sampled more coarsely.
+    A surface so large that this would be more than 60,000 points is sampled more coarsely.
     """
     area = float(face_areas_normals(mesh)[0].sum())
     spacing = max(spacing, math.sqrt(area / _MOST_POINTS))
