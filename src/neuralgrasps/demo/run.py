@@ -43,7 +43,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
     with Meter(lambda stage: say(stage, 0, 0, "")) as meter:
         with meter.stage("hands and objects"):
             hands = {hand.name: hand for hand in map(load_hand, config.hands)}
-            objects = _load_objects(object_sources(config), workers, say)
+            objects = _load_objects(sources, workers, say)
         with meter.stage("grasps"):
             grasp_sets, records = collect_grasps(
                 config.out / "grasps", list(hands.values()), list(objects.values()),
@@ -87,11 +87,13 @@ def object_sources(config: DemoConfig) -> tuple[str, ...]:
     """Names or paths of the objects to load; a folder stands for its mesh files, sorted.
 
     Raises:
-        InputError: a folder holds no mesh, or no object is given.
+        InputError: a mesh file is missing, a folder holds no mesh, or no object is given.
     """
     sources: list[str] = []
     for given in config.objects:
         folder = Path(given)
+        if folder.suffix.lower() in MESH_SUFFIXES and not folder.exists():
+            raise InputError(f"mesh file '{folder}' does not exist; check the path.")
         if not folder.is_dir():
             sources.append(given)
             continue
