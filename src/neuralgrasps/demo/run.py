@@ -40,6 +40,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
     config = config or DemoConfig()
     say = progress or (lambda *_: None)
     workers = config.workers or available_cpus()
+    sources = object_sources(config)
     with Meter(lambda stage: say(stage, 0, 0, "")) as meter:
         with meter.stage("hands and objects"):
             hands = {hand.name: hand for hand in map(load_hand, config.hands)}
