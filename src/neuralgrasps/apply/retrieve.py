@@ -110,9 +110,7 @@ def rotated_maps(maps: np.ndarray, points_O: np.ndarray, symmetry: SymmetryGroup
     return maps[:, np.stack(turned)]
 
 
-def _matching_rows(
-    gallery: CodeBook, object_name: str, hand: str | None, count: int, include_test: bool
-) -> np.ndarray:
+def _matching_rows(gallery: CodeBook, object_name: str, hand: str | None, count: int, include_test: bool) -> np.ndarray:
     if count < 1:
         raise InputError(f"count is {count}; expected at least 1.")
     rows = np.flatnonzero(gallery.where(hand=hand, object_name=object_name, is_test=None if include_test else False))

@@ -25,8 +25,8 @@ class Normalisation:
     """The frame in which an object lies in a ball of radius 1/3.
 
     Hands reach beyond the unit ball where they are large against the object (18 % of the hand queries of a Barrett
-    hand on a soup can lie outside it). A view: arrays stay in metres in the object frame, and are mapped when a definition of the published
-    method needs its units.
+    hand on a soup can lie outside it). A view: arrays stay in metres in the object frame, and are mapped when a
+    definition of the published method needs its units.
 
     Attributes:
         offset_O: (3,) float64, mean of the object's surface points, metres.

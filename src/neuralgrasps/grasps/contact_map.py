@@ -41,8 +41,8 @@ def contact_map(
 def contact_map(
     points_O: Tensor | np.ndarray,
     hand: Hand,
-    X_OH: Tensor | np.ndarray,
-    q: Tensor | np.ndarray,
+    X_OH: Tensor,
+    q: Tensor,
     *,
     radius: float = RADIUS_M,
     chunk_pairs: int = CHUNK_PAIRS,
