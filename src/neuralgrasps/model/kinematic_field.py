@@ -2,7 +2,7 @@
 
 One field serves all hands and objects. With `noise_level` 0 decoding is the closed-form inverse of
 encoding. With a positive level the code is taken to be off by about that much (an observed or sampled code),
-and a network trained on known grasps moves it back towards them; the correction is scaled by the level, so both
+and a network trained on known grasps moves it back towards them; the correction shrinks with the level, so both
 cases are one function. Hands and objects outside the training set decode in closed form.
 """
 
@@ -42,6 +42,7 @@ from neuralgrasps.objects.object_model import ObjectModel
 
 CONTACT_DECAY = 0.05  # of an object outside any dataset, in its normalised units
 POINT_SPACING_M = 0.006
+SURE_LEVEL = 0.05  # below about this noise level codes are better than what the network knows of grasps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,7 +169,7 @@ class KinematicField:
         blocks = codes[:, ANCHORS:]
         if self.decoder is not None and hand in self.decoder.hands and bool((level > 0).any()):
             descriptor = self.descriptor(object_name, codes)
-            blocks = blocks + level[:, None] * self.decoder(codes, descriptor, level, hand)
+            blocks = blocks + correction(self.decoder, codes, descriptor, level, hand)
         return decode_blocks(blocks, self.hand_codecs[hand], self.object_codecs[object_name])
 
     def descriptor(self, object_name: str, like: Tensor) -> Tensor:
@@ -210,6 +211,15 @@ def default_object_codec(obj: ObjectModel, *, contact_decay: float = CONTACT_DEC
     """The codec of an object outside any dataset; `contact_decay` in its normalised units."""
     frame = normalisation_of(obj.points_O)
     return object_codec(obj.name, obj.points_O, offset_O=frame.offset_O, radius_m=contact_decay * frame.scale_m)
+
+
+def correction(decoder: Decoder, codes: Tensor, descriptor: Tensor, level: Tensor, hand: str) -> Tensor:
+    """(N, 32) what the network adds to the palm and posture blocks of codes (N, 128) at levels (N,).
+
+    In proportion to the level, and less where a code is nearly right: the network would only blur it there.
+    """
+    trust = level**3 / (level**2 + SURE_LEVEL**2)
+    return trust[:, None] * decoder(codes, descriptor, level, hand)
 
 
 def decode_blocks(blocks: Tensor, hand: HandCodec, obj: ObjectCodec) -> DecodedGrasps:

@@ -25,7 +25,7 @@ from neuralgrasps.model.codes import (
     join_codes,
     object_codec,
 )
-from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField, decode_blocks
+from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField, correction, decode_blocks
 from neuralgrasps.model.losses import HandPoints, point_distances
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_rng, child_seed
@@ -311,7 +311,7 @@ def _hand_loss(
     descriptors = torch.as_tensor(np.stack([o.descriptor for o in objects]), dtype=noisy.dtype)
     offsets = torch.as_tensor(np.stack([o.offset_O for o in objects]), dtype=noisy.dtype)
     place = data.object_of[chosen]
-    blocks = noisy[:, ANCHORS:] + level[:, None] * decoder(noisy, descriptors[place], level, hand)
+    blocks = noisy[:, ANCHORS:] + correction(decoder, noisy, descriptors[place], level, hand)
     # Decode relative to the objects' centres: one call for a batch over several objects.
     grasps = decode_blocks(blocks, codec, objects[0])
     moved = data.material.posed(grasps.X_OH, grasps.q) + (offsets[place] - offsets[0])[:, None]
