@@ -175,15 +175,36 @@ def lines_of(hand: Hand, key: str) -> list[str]:
 
 
 def save_hand_picture(hand: Hand, path: Path) -> None:
-    """Draw the hand open and half closed, side by side."""
+    """Draw the hand open and half closed, side by side; closed is where its links first meet, or its limits."""
     import numpy as np
 
     from neuralgrasps.cli.outputs import make_parent
     from neuralgrasps.report.figures import render_hand, save_picture
 
-    limit = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
-    limit = np.where(hand.closing_rate == 0, hand.q_open, limit)
-    closed = hand.q_open + _CLOSED_SHARE * (limit - hand.q_open)
     make_parent(path)
-    pictures = [render_hand(hand, q, size=(560, 560)) for q in (hand.q_open, closed)]
+    half = hand.q_open + _CLOSED_SHARE * _closing_room(hand) * (_closed_posture(hand) - hand.q_open)
+    pictures = [render_hand(hand, q, size=(560, 560)) for q in (hand.q_open, half)]
     save_picture(path, np.concatenate(pictures, axis=1), background="#ffffff")
+
+
+def _closed_posture(hand: Hand) -> np.ndarray:
+    """(J,) every closing joint at its limit."""
+    import numpy as np
+
+    limit = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
+    return np.where(hand.closing_rate == 0, hand.q_open, limit)
+
+
+def _closing_room(hand: Hand) -> float:
+    """Share of the way from open to closed after which links overlap by more than 1 mm."""
+    import numpy as np
+
+    from neuralgrasps.grasps.penetration import self_penetration
+    from neuralgrasps.hands.packed import pack_hand
+    from neuralgrasps.kinematics.forward_kernels import forward_fast
+
+    packed, closed = pack_hand(hand, spacing=0.004), _closed_posture(hand)
+    shares = np.linspace(0.05, 1.0, 20)
+    poses = forward_fast(hand.tree, hand.q_open + shares[:, None] * (closed - hand.q_open))
+    meets = [share for share, X_HL in zip(shares, poses, strict=True) if self_penetration(packed, X_HL) > 1e-3]
+    return float(min(meets, default=1.0))

@@ -145,7 +145,10 @@ def dataset_facts(data: DemoData) -> tuple[tuple[str, str], ...]:
     queries = manifest.config.queries_per_scene
     return (
         ("scenes (one hand on one object)", f"{scenes}"),
-        ("signed distances", f"{scenes * queries:,} query points, exact for mesh and hand"),
+        (
+            "signed distances",
+            f"{scenes * queries:,} query points, from the mesh and the hand's solids",
+        ),
         ("contact maps", f"{scenes} maps of 2,048 surface points"),
         ("split", "one in six grasps is held out for testing; training never sees it"),
         ("folder", "out/dataset: manifest with checksums, safetensors shards"),

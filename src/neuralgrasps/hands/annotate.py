@@ -18,18 +18,24 @@ from neuralgrasps.hands.closing import MovableHand, closing_shares, movable_hand
 from neuralgrasps.hands.contact import SelfContact, doubts
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
-from neuralgrasps.hands.radial import RadialHand, alike, radial_hand
+from neuralgrasps.hands.radial import RadialHand, radial_hand
+from neuralgrasps.hands.thumb import (
+    PRESHAPE_SHARE,
+    find_thumb,
+    given_thumb,
+    lateral_motion,
+    named_thumb,
+    oppose_thumb,
+    own_dofs,
+)
 from neuralgrasps.kinematics.tree import KinematicTree
 
 HALF_CLOSED = 0.5
-PRESHAPE_SHARE = 0.45  # of the way from open to closed
 WIDE_SPREAD = 1.5  # rad: a sideways joint with more range than this is a spread to choose freely
 PAD_LENGTH = 0.02  # metres of a jaw's finger taken as its pad
 FREE_RANGE, QUARTER_TURN = 4.5, np.pi / 2  # rad: a wider joint has no real limits; it is used this far either way
 SIDEWAYS_MARGIN = 0.2  # rad: how far joints across the closing direction stray in a preshape of equal fingers
 UNCLEAR_SIDE = 0.1
-LATE_MEETING, SAME_WAY = 0.03, 0.02  # metres of gap that a last-moment, or an unopposed, meeting is worth
-_GRID = 7
 
 
 def complete_notes(
@@ -83,9 +89,9 @@ def _from_motion(
         q_closed = contact.last_free(q_open, q_closed)
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
     is_jaw = _is_jaw(model, closing, q_open, q_closed) if given.is_jaw is None else given.is_jaw
-    thumb = _thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else _given_thumb(given)
+    thumb = find_thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else given_thumb(given)
     if not is_jaw and thumb is not None:
-        q_open, q_closed = _oppose(model, closing, thumb, q_open, q_closed)
+        q_open, q_closed = oppose_thumb(model, closing, thumb, q_open, q_closed)
     pad = _jaw_pad(model, q_open, normal) if is_jaw and given.jaw_pad_H is None else given.jaw_pad_H
     X_HP = given.X_HP if given.X_HP is not None else _palm(model, q_open, q_closed, normal, pad)
     guessed = _joint_notes(model, closing, q_open, q_closed, normal, thumb, is_jaw)
@@ -96,7 +102,7 @@ def _from_motion(
 def _from_symmetry(model: MovableHand, radial: RadialHand, given: HandNotes) -> tuple[HandNotes, dict[str, JointNotes]]:
     """Notes of a hand with equal fingers around an axis, none of them a thumb unless it is called so."""
     tree = model.tree
-    thumb = _named_thumb(model) if given.fingers is None else _given_thumb(given)
+    thumb = named_thumb(model) if given.fingers is None else given_thumb(given)
     X_HP = given.X_HP
     if X_HP is None:
         middle = (
@@ -184,96 +190,6 @@ def _is_jaw(model: MovableHand, closing: np.ndarray, q_open: np.ndarray, q_close
     return bool(unit(motion[0]) @ unit(motion[1]) < -0.95)
 
 
-def _lateral_motion(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """(F, 3) movement of each tip along the palm while the hand closes by 70 %."""
-    motion = model.tips(q_open + 0.7 * (q_closed - q_open)) - model.tips(q_open)
-    return motion - np.outer(motion @ normal, normal)
-
-
-def _thumb(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray) -> int | None:
-    """The finger called thumb, or of three or more the one that closes most against the others."""
-    named = _named_thumb(model)
-    if named is not None or len(model.fingers) < 3:
-        return named
-    motion = _lateral_motion(model, q_open, q_closed, normal)
-    agreement = [unit(m) @ unit(np.delete(motion, f, axis=0).sum(axis=0)) for f, m in enumerate(motion)]
-    f = int(np.argmin(agreement))
-    return f if agreement[f] < 0.5 else None
-
-
-def _named_thumb(model: MovableHand) -> int | None:
-    tree = model.tree
-    for f, finger in enumerate(model.fingers):
-        names = [tree.link_names[i].lower() for i in finger] + [tree.joint_names[i].lower() for i in finger]
-        if any("thumb" in n for n in names):
-            return f
-    return None
-
-
-def _given_thumb(given: HandNotes) -> int | None:
-    return next((f for f, finger in enumerate(given.fingers or ()) if finger.thumb), None)
-
-
-def _own_dofs(model: MovableHand, finger: int) -> list[int]:
-    """Joints that move this finger alone, proximal first."""
-    links = list(model.fingers[finger])
-    others = np.setdiff1d(np.arange(model.tree.num_links), links)
-    own = model.moved[links].any(axis=0) & ~model.moved[others].any(axis=0)
-    return [int(j) for j in np.flatnonzero(own)]
-
-
-def _oppose(
-    model: MovableHand, closing: np.ndarray, thumb: int, q_open: np.ndarray, q_closed: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Turn the thumb to where its tip meets the other fingertips best while all close together.
-
-    Searched: its joints that do not close, and closing ones whose zero is far from their open end.
-    """
-    tree, own = model.tree, _own_dofs(model, thumb)
-    slack = np.abs(q_open - np.where(closing > 0, tree.lower, tree.upper)) / (tree.upper - tree.lower)
-    is_like_others = all(alike(model, thumb, f) for f in range(len(model.fingers)))
-    turned = [j for j in own if closing[j] == 0 or (slack[j] > 0.3 and not is_like_others)][:3]
-    if not turned or len(model.fingers) < 2:
-        return q_open, q_closed
-    fixed = [k for k, j in enumerate(turned) if closing[j] == 0]
-    axes = [np.linspace(tree.lower[j], tree.upper[j], _GRID) for j in turned]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(turned))
-    share = _closing_shares_over_time(tree.num_dofs, own)
-    costs = np.empty(len(grid))
-    for k, values in enumerate(grid):
-        start, end = q_open.copy(), q_closed.copy()
-        start[turned] = values
-        end[[turned[f] for f in fixed]] = values[fixed]
-        tips = model.tips(start + share * (end - start))  # (starts, times, F, 3)
-        costs[k] = _meeting_cost(tips, thumb).min(axis=1).mean()
-    best = grid[int(np.argmin(costs))]
-    q_open, q_closed = q_open.copy(), q_closed.copy()
-    q_open[turned] = best
-    q_closed[[turned[f] for f in fixed]] = best[fixed]
-    return q_open, q_closed
-
-
-def _meeting_cost(tips: np.ndarray, thumb: int) -> np.ndarray:
-    """(starts, times - 1) metres: how badly the thumb of closing hands meets the two nearest tips at each time.
-
-    The gap, more for a late meeting (little room for an object) and for tips that move the same way (no pinch).
-    """
-    own, others = tips[:, :, thumb : thumb + 1], np.delete(tips, thumb, axis=2)
-    gaps = np.sort(np.linalg.norm(others - own, axis=3), axis=2)[:, 1:, :2].mean(axis=2)
-    u, v = np.diff(own, axis=1)[:, :, 0], np.diff(others, axis=1).mean(axis=2)
-    speeds = np.linalg.norm(u, axis=2) * np.linalg.norm(v, axis=2)
-    agreement = (u * v).sum(axis=2) / np.maximum(speeds, 1e-12)
-    return gaps + LATE_MEETING * np.linspace(0, 1, gaps.shape[1]) + SAME_WAY * agreement
-
-
-def _closing_shares_over_time(num_dofs: int, thumb_dofs: list[int]) -> np.ndarray:
-    """(9 starts, 9 times, J) how far each joint is from open to closed, from nine preshapes of fingers and thumb."""
-    starts = PRESHAPE_SHARE * np.array([0.0, 0.5, 1.0])
-    fingers, own = (v.ravel()[:, None, None] for v in np.meshgrid(starts, starts, indexing="ij"))
-    is_thumb = np.isin(np.arange(num_dofs), thumb_dofs)
-    return np.clip(np.where(is_thumb, own, fingers) + np.linspace(0.0, 1.0, 9)[:, None], 0.0, 1.0)
-
-
 def _jaw_pad(model: MovableHand, q_open: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Middle between the inner faces of two fingers, over the outer `PAD_LENGTH` of the fingers, in H."""
     tips = model.tips(q_open)
@@ -295,7 +211,7 @@ def _palm(
 ) -> np.ndarray:
     """X_HP: on the palm's surface under the pads (jaws) or at the palm's middle; x is the closing direction."""
     origin = _on_palm(model, q_open, model.palm_centre(q_open) if pad is None else pad, normal)
-    motion = _lateral_motion(model, q_open, q_closed, normal)
+    motion = lateral_motion(model, q_open, q_closed, normal)
     _, _, axes = np.linalg.svd(motion)
     along = axes[0] - (axes[0] @ normal) * normal
     if float(np.linalg.norm(motion)) < 1e-6 or float(np.linalg.norm(along)) < 1e-3:
@@ -370,7 +286,7 @@ def _joint_notes(
     is_jaw: bool,
 ) -> dict[str, JointNotes]:
     tree = model.tree
-    thumb_dofs = set() if thumb is None else set(_own_dofs(model, thumb))
+    thumb_dofs = set() if thumb is None else set(own_dofs(model, thumb))
     notes = {}
     for j, name in enumerate(tree.dof_names):
         if closing[j] != 0:
