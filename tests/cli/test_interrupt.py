@@ -12,6 +12,13 @@ from pathlib import Path
 import pytest
 
 
+# A background job of a shell ignores SIGINT and hands that on to its children; a program at a terminal does not.
+AT_A_TERMINAL = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "from neuralgrasps.cli.main import run; sys.exit(run())"
+)
+
+
 def wait_for(path: Path, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not path.exists():
@@ -24,7 +31,7 @@ def test_stopped_work_says_what_was_kept(number: int, code: int, home: Path, tmp
     folder = tmp_path / "grasps"
     pairs = ("--hands", "panda", "fetch", "--objects", "gelatin_box", "--count", "5000", "--workers", "2")
     process = subprocess.Popen(
-        [sys.executable, "-m", "neuralgrasps", "synthesise", *pairs, "--out-dir", str(folder)],
+        [sys.executable, "-c", AT_A_TERMINAL, "synthesise", *pairs, "--out-dir", str(folder)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -44,7 +51,7 @@ def test_a_stopped_demo_keeps_its_grasps(home: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     options = ("--objects", "gelatin_box", "--hands", "panda", "--count", "6", "--workers", "1", "--out", str(out))
     process = subprocess.Popen(
-        [sys.executable, "-m", "neuralgrasps", "demo", *options],
+        [sys.executable, "-c", AT_A_TERMINAL, "demo", *options],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
