@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-
 # A background job of a shell ignores SIGINT and hands that on to its children; a program at a terminal does not.
 AT_A_TERMINAL = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler); "
