@@ -35,6 +35,7 @@ def test_page_holds_every_section_and_loads_nothing(finished):
     page = result.report_path.read_text()
     for word in ("Grasps", "Contact maps", "Retrieval", "Latent space", "Object pose", "Measured quality", "Times"):
         assert word in page
+    assert "torsional friction 0.02 m" in page and "stand-ins of published size" in page
     assert page.count("<img") >= len(HANDS) * 3
     assert 'src="http' not in page and 'href="http' not in page
 

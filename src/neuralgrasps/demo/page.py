@@ -45,11 +45,12 @@ TOUCH_M = 0.004  # a contact card counts the surface nearer to the hand than thi
 SHOWN = 3  # grasps shown per hand and object
 
 _PHYSICS = (
-    "Each picture is one synthesised grasp, drawn as computed, with the object's true mesh. Held means: in MuJoCo, the "
-    "hand closed from its pre-grasp, squeezed within its torque limits, and then kept an object of 0.1 kg (friction "
-    "0.6) while 1 N pulled it along six directions for 2 s each; it may move less than 5 cm and turn less than 15 "
-    "degrees (the DexGraspBench protocol). ε is the radius of the largest ball of wrenches that the contacts resist; "
-    "overlap is how deep hand and true mesh cut into each other; slip is how far the object moved in the trial."
+    "Each picture is one synthesised grasp, drawn as computed, with the object's true mesh. Held means: in MuJoCo, "
+    "the hand closed from its pre-grasp, squeezed within its torque limits, and then kept an object of 0.1 kg "
+    "(friction 0.6, torsional friction 0.02 m) while 1 N pulled it along six directions for 2 s each; it may move "
+    "less than 5 cm and turn less than 15 degrees (the DexGraspBench protocol; no gravity, the hand's base welded). "
+    "ε is the radius of the largest ball of wrenches that the contacts resist; overlap is how deep hand and true "
+    "mesh cut into each other; slip is how far the object moved in the trial."
 )
 
 
@@ -196,12 +197,12 @@ def _latent_maps(data: DemoData) -> tuple[LatentMap, ...]:
 
 def _notes(data: DemoData) -> tuple[str, ...]:
     notes = [
-        "Hands are authored from primitives after published dimensions; their kinematics agree with the makers' URDFs "
-        "to 1 mm.",
+        "The built-in hands are authored from primitives after published dimensions. Fetch, Panda, Barrett and Allegro "
+        "agree with their makers' URDFs to 1 mm; the human hand has none to agree with.",
         "Success rates hold for a 0.1 kg object with friction 0.6 and the torque limits of each hand's file; heavier "
-        "objects need more.",
+        "objects need more. They rest on the torsional friction of 0.02 m: many two-finger grasps slip without it.",
         "Depth images are simulated; real cameras have biases that this sensor model does not contain.",
     ]
-    if not data.are_scans and all(o.provenance.get("source", "").startswith("built") for o in data.objects.values()):
-        notes.append("The objects are stand-ins of published size, not scans.")
+    if not data.are_scans:
+        notes.append("Objects named after YCB ones are stand-ins of published size unless a mesh file was given.")
     return (*notes, *(f"{r.hand} on {r.object}: {r.reason}." for r in data.records if r.reason))
