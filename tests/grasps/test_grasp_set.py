@@ -216,7 +216,7 @@ def test_files_of_another_kind_or_version_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(grasp_io, "VERSION", 99)
     save_grasps(path, make_grasps())
     monkeypatch.undo()
-    with pytest.raises(DataFormatError, match="version 99; this library reads version 1"):
+    with pytest.raises(DataFormatError, match="version 99; this library reads version 2"):
         load_grasps(path)
     with pytest.raises(InputError, match="No such file"):
         load_grasps(tmp_path / "missing.safetensors")

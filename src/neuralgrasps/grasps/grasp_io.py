@@ -18,7 +18,7 @@ from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, array_fields
 from neuralgrasps.tensor_files import tensor_bytes
 
 FORMAT = "neuralgrasps.grasp_set"
-VERSION = 1
+VERSION = 2  # 2 added force_residual, palm_contact, finger_count, precision
 _VERDICT_ARRAYS = ("success", "displacement_m", "rotation_rad")
 
 

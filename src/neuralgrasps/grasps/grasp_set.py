@@ -75,6 +75,17 @@ _ARRAYS: dict[str, type[np.generic]] = {
     "contact_links": np.int32,
     "epsilon": np.float64,
     "penetration_m": np.float64,
+    "force_residual": np.float64,
+    "palm_contact": np.bool_,
+    "finger_count": np.int32,
+    "precision": np.bool_,
+}
+# What the columns of a set hold that nobody measured.
+_UNKNOWN: dict[str, float | int | bool] = {
+    "force_residual": np.nan,
+    "palm_contact": False,
+    "finger_count": -1,
+    "precision": False,
 }
 _FINITE = ("X_OH", "q", "q_pregrasp", "q_squeeze", "epsilon", "penetration_m")
 
@@ -96,6 +107,9 @@ class GraspSet:
         contact_links: (N, C) int32, the hand link that touches, -1 where there is no contact.
         epsilon: (N,) float64, Ferrari-Canny quality (0 = not force closure).
         penetration_m: (N,) float64, deepest overlap of hand and object or of the hand with itself, >= 0.
+        force_residual: (N,) float64, net wrench of the best unit squeeze (`force_qp`), 0 = balanced; nan: not measured.
+        palm_contact: (N,) bool, the palm touches. finger_count: (N,) int32, fingers that touch; -1: not labelled.
+        precision: (N,) bool, a precision grasp: only fingertips touch. Labelled and not precision: a power grasp.
         verdicts: what each physics protocol said, by the protocol's name.
         protocol: the name of the verdict that `validated` reads.
         seed: the seed the set was made with.
@@ -116,6 +130,10 @@ class GraspSet:
     contact_links: np.ndarray
     epsilon: np.ndarray
     penetration_m: np.ndarray
+    force_residual: np.ndarray = None  # type: ignore[assignment]  # None becomes a column of unknowns
+    palm_contact: np.ndarray = None  # type: ignore[assignment]
+    finger_count: np.ndarray = None  # type: ignore[assignment]
+    precision: np.ndarray = None  # type: ignore[assignment]
     verdicts: Mapping[str, Verdict] = field(default_factory=dict)
     protocol: str = DEFAULT_PROTOCOL
     seed: int = 0
@@ -123,7 +141,10 @@ class GraspSet:
 
     def __post_init__(self) -> None:
         for name, dtype in _ARRAYS.items():
-            object.__setattr__(self, name, _frozen(getattr(self, name), dtype))
+            value = getattr(self, name)
+            if value is None and name in _UNKNOWN:
+                value = np.full(len(self.X_OH), _UNKNOWN[name])
+            object.__setattr__(self, name, _frozen(value, dtype))
         object.__setattr__(self, "verdicts", dict(self.verdicts))
         object.__setattr__(self, "config", {str(k): str(v) for k, v in self.config.items()})
         self._check_shapes()
@@ -144,8 +165,7 @@ class GraspSet:
             "contact_points_O": (count, contacts, 3),
             "contact_normals_O": (count, contacts, 3),
             "contact_links": (count, contacts),
-            "epsilon": (count,),
-            "penetration_m": (count,),
+            **dict.fromkeys(("epsilon", "penetration_m", *_UNKNOWN), (count,)),
         }
         for name, shape in expected.items():
             got = getattr(self, name).shape
