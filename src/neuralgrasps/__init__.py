@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.zoo import load_object, object_names
     from neuralgrasps.perception.pose import PoseConfig, estimate_pose
     from neuralgrasps.report.page import write_report
-    from neuralgrasps.sim.grasp_trial import validate_grasps
+    from neuralgrasps.sim.validate import validate_grasps
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 __version__ = "0.1.0"
@@ -81,7 +81,7 @@ _HOMES = {
     "save_run": "model.checkpoint",
     "synthesise": "synthesis.synthesise",
     "train": "model.train",
-    "validate_grasps": "sim.grasp_trial",
+    "validate_grasps": "sim.validate",
     "verify_dataset": "dataset.verify",
     "write_report": "report.page",
 }

@@ -11,9 +11,10 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.sim.grasp_trial import GraspTrial, prescreen, validate_grasps, verdict_parameters
+from neuralgrasps.sim.grasp_trial import GraspTrial, silent_engine
 from neuralgrasps.sim.protocols import Actuation, Protocol, get_protocol
 from neuralgrasps.sim.replay import trial_trajectory
+from neuralgrasps.sim.validate import prescreen, validate_grasps, verdict_parameters
 
 from .toy import CLOSED, toy_box, toy_grasps, toy_hand
 
@@ -164,6 +165,18 @@ def test_stop_after_returns_the_tried_prefix(hand: Hand, box: ObjectModel) -> No
     assert len(validate_grasps(hand, box, grasps[:0])) == 0
 
 
+@pytest.mark.parametrize("stop_after", [None, 1, 3])
+def test_threads_change_nothing(hand: Hand, box: ObjectModel, stop_after: int | None) -> None:
+    rng = np.random.default_rng(1)
+    centres = [tuple(c) for c in rng.uniform([-0.004, -0.05, 0.09], [0.004, 0.05, 0.15], (9, 3))]
+    grasps = _grasps(hand, box, *centres)
+    alone = validate_grasps(hand, box, grasps, stop_after=stop_after)
+    for threads in (2, 4, 20):
+        beside = validate_grasps(hand, box, grasps, stop_after=stop_after, threads=threads)
+        for name in ("success", "displacement_m", "rotation_rad"):
+            np.testing.assert_array_equal(getattr(beside, name), getattr(alone, name))
+
+
 def test_verdict_states_its_conditions(hand: Hand, box: ObjectModel) -> None:
     def parameters(protocol: str | Protocol) -> dict[str, float]:
         return dict(validate_grasps(hand, box, _grasps(hand, box, FAR), protocol).parameters)
@@ -218,11 +231,12 @@ def test_a_diverged_trial_fails_and_leaves_no_trace(
     grasps = _grasps(hand, box, CENTRED)
     X_OH, q_pregrasp, q, q_squeeze = grasps.X_OH[0], grasps.q_pregrasp[0], grasps.q[0], grasps.q_squeeze[0]
     trial = GraspTrial(hand, box, DEX)
-    if cause == "target is not a number":
-        outcome = trial.run(X_OH, q_pregrasp, q, np.full(1, np.nan))
-    else:
-        stiff = replace(DEX, prismatic=Actuation(kp=1e12, kv=0.0, armature=0.0))
-        outcome = GraspTrial(toy_hand(coupled=True, effort=1e15), box, stiff).run(X_OH, q_pregrasp, q, q_squeeze)
+    with silent_engine():
+        if cause == "target is not a number":
+            outcome = trial.run(X_OH, q_pregrasp, q, np.full(1, np.nan))
+        else:
+            stiff = replace(DEX, prismatic=Actuation(kp=1e12, kv=0.0, armature=0.0))
+            outcome = GraspTrial(toy_hand(coupled=True, effort=1e15), box, stiff).run(X_OH, q_pregrasp, q, q_squeeze)
     assert not outcome.success
     assert not list(tmp_path.iterdir())
     assert capfd.readouterr() == ("", "")

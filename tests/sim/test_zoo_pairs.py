@@ -15,8 +15,8 @@ from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.sim.build import OBJECT_JOINT, grasp_model, joint_name
-from neuralgrasps.sim.grasp_trial import validate_grasps
 from neuralgrasps.sim.protocols import get_protocol
+from neuralgrasps.sim.validate import validate_grasps
 
 DEX = get_protocol("dexgraspbench")
 JAWS = ("fetch", "panda")

@@ -9,7 +9,7 @@ import pytest
 
 from neuralgrasps.errors import InputError, UnknownNameError
 from neuralgrasps.geometry.primitives import box_mesh
-from neuralgrasps.sim.grasp_trial import validate_grasps
+from neuralgrasps.sim.validate import validate_grasps
 from neuralgrasps.synthesis.candidates import make_problem
 from neuralgrasps.synthesis.select import grasp_features
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise

@@ -1,4 +1,4 @@
 """Physics: whether a grasp holds.
 
-`protocols` states the conditions and needs no simulator; `grasp_trial` needs MuJoCo.
+`protocols` states the conditions and needs no simulator; `grasp_trial` and `validate` need MuJoCo.
 """

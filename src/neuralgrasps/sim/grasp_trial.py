@@ -10,24 +10,22 @@ in one thread, so the verdict of a grasp has the same bits whatever is tried bef
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import mujoco
 import numpy as np
+from numba import njit
 
-from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.se3_numpy import inverse_np
-from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.sim.build import (
-    CONTACT_DIMENSIONS,
     OBJECT_BODY,
     OBJECT_JOINT,
-    contact_friction,
     grasp_model,
     joint_name,
     leaders,
@@ -78,17 +76,51 @@ class TrialOutcome:
 Observer = Callable[[Phase, int, mujoco.MjData], None]
 
 
+@contextmanager
+def silent_engine() -> Iterator[None]:
+    """Keep the engine from printing, and from writing a log file to the working directory, when a trial diverges.
+
+    The setting is the engine's, not a thread's: enter it around all threads.
+    """
+    before, silent = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    silent.logto_console = False
+    silent.logto_file = False
+    mujoco.MjLogConfig.set(silent)
+    try:
+        yield
+    finally:
+        mujoco.MjLogConfig.set(before)
+
+
+@njit(cache=True, error_model="numpy")
+def _motion(start_centre, start_rotation, centre, rotation, worst):  # type: ignore[no-untyped-def]
+    """How far (m) and by what angle (rad) the object is from its start; `worst` keeps the largest of both."""
+    squared = trace = 0.0
+    for i in range(3):
+        squared += (centre[i] - start_centre[i]) ** 2
+    for i in range(9):
+        trace += start_rotation[i] * rotation[i]
+    displacement = math.sqrt(squared)
+    angle = math.acos(min(1.0, max(-1.0, 0.5 * (trace - 1.0))))
+    # written so that nan is kept: a diverged state is lost, not held
+    worst[0] = displacement if not displacement <= worst[0] else worst[0]
+    worst[1] = angle if not angle <= worst[1] else worst[1]
+    return displacement, angle
+
+
 class GraspTrial:
     """The compiled model of one hand and one object, ready to try any number of grasps.
 
-    Not thread-safe: it owns one simulation state. Use one per process.
+    Not thread-safe: it owns one simulation state. Use one per thread (`another` shares the compiled model).
     """
 
-    def __init__(self, hand: Hand, obj: ObjectModel, protocol: str | Protocol) -> None:
+    def __init__(
+        self, hand: Hand, obj: ObjectModel, protocol: str | Protocol, *, model: mujoco.MjModel | None = None
+    ) -> None:
         self.hand = hand
         self.obj = obj
         self.protocol = get_protocol(protocol)
-        self.model = grasp_model(hand, obj, self.protocol)
+        self.model = model or grasp_model(hand, obj, self.protocol)
         self.data = mujoco.MjData(self.model)
         tree = hand.tree
         self._links = np.array([i for i in range(1, tree.num_links) if tree.joint_types[i]], np.int64)
@@ -101,6 +133,13 @@ class GraspTrial:
         self._start_centre = np.zeros(3)
         self._start_rotation = np.eye(3)
         self._worst = np.zeros(2)
+        # views of the engine's own arrays
+        self._centre = self.data.xipos[self._body]
+        self._rotation = self.data.xmat[self._body]
+
+    def another(self) -> GraspTrial:
+        """A second trial of the same pair, with a state of its own."""
+        return GraspTrial(self.hand, self.obj, self.protocol, model=self.model)
 
     def run(
         self,
@@ -119,17 +158,16 @@ class GraspTrial:
             observe: called at the start and at every check with the phase, the index of the force (-1 before
                 the first) and the state.
         """
-        with _silent_engine():
-            penetration = self._reset(X_OH, q_pregrasp)
-            if observe:
-                observe(Phase.START, -1, self.data)
-            rejected = not penetration <= self.protocol.max_start_penetration_m
-            closed = (
-                not rejected
-                and self._drive(q_pregrasp, q, Phase.GRASP, observe)
-                and self._drive(q, q_squeeze, Phase.SQUEEZE, observe)
-            )
-            held = self._hold_all(observe) if closed else 0
+        penetration = self._reset(X_OH, q_pregrasp)
+        if observe:
+            observe(Phase.START, -1, self.data)
+        rejected = not penetration <= self.protocol.max_start_penetration_m
+        closed = (
+            not rejected
+            and self._drive(q_pregrasp, q, Phase.GRASP, observe)
+            and self._drive(q, q_squeeze, Phase.SQUEEZE, observe)
+        )
+        held = self._hold_all(observe) if closed else 0
         diverged = any(self.data.warning[kind].number for kind in _DIVERGED)
         displacement, rotation = (np.nan, np.nan) if rejected or diverged else self._worst
         return TrialOutcome(
@@ -251,148 +289,8 @@ class GraspTrial:
         mujoco.mj_step(self.model, self.data, nstep=self.protocol.check_every)
         if observe:
             observe(phase, direction, self.data)
-        moved = self.data.xipos[self._body] - self._start_centre
-        trace = float(np.vdot(self._start_rotation, self.data.xmat[self._body]))
-        displacement = float(np.sqrt(moved @ moved))
-        rotation = float(np.arccos(min(1.0, max(-1.0, (trace - 1.0) / 2.0))))
-        self._worst[0] = max(self._worst[0], displacement)
-        self._worst[1] = max(self._worst[1], rotation)
+        displacement, angle = _motion(
+            self._start_centre, self._start_rotation.ravel(), self._centre, self._rotation, self._worst
+        )
         # written so that a diverged (nan) state is lost, not held
-        return displacement <= self.protocol.max_displacement_m and rotation <= self.protocol.max_rotation_rad
-
-
-@contextmanager
-def _silent_engine() -> Iterator[None]:
-    """Keep the engine from printing, and from writing a log file to the working directory, when a trial diverges."""
-    before, silent = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
-    silent.logto_console = False
-    silent.logto_file = False
-    mujoco.MjLogConfig.set(silent)
-    try:
-        yield
-    finally:
-        mujoco.MjLogConfig.set(before)
-
-
-def validate_grasps(
-    hand: Hand,
-    obj: ObjectModel,
-    grasps: GraspSet,
-    protocol: str | Protocol = "dexgraspbench",
-    *,
-    stop_after: int | None = None,
-) -> Verdict:
-    """Try grasps in physics, in order.
-
-    Args:
-        hand, obj: what `grasps` was made for.
-        grasps: N grasps; uses `X_OH`, `q_pregrasp`, `q`, `q_squeeze`.
-        protocol: preset name or protocol.
-        stop_after: stop after this many successes. The verdict then has one row per grasp *tried*: it belongs to
-            `grasps[:len(verdict.success)]`.
-    Returns:
-        The verdict; its parameters are `verdict_parameters`: mass, friction, forces, limits, every protocol number.
-    Raises:
-        InputError: `grasps` is of another hand or object. ShapeError: wrong number of joints.
-        UnknownNameError: no such preset.
-    """
-    protocol = get_protocol(protocol)
-    check_pair(hand, obj, grasps)
-    outcomes: list[TrialOutcome] = []
-    trial = GraspTrial(hand, obj, protocol)
-    wins = 0
-    for i in range(len(grasps)):
-        if stop_after is not None and wins >= stop_after:
-            break
-        outcome = trial.run(grasps.X_OH[i], grasps.q_pregrasp[i], grasps.q[i], grasps.q_squeeze[i])
-        wins += outcome.success
-        outcomes.append(outcome)
-    return Verdict(
-        success=np.array([o.success for o in outcomes], bool),
-        displacement_m=np.array([o.displacement_m for o in outcomes], np.float64),
-        rotation_rad=np.array([o.rotation_rad for o in outcomes], np.float64),
-        parameters=verdict_parameters(hand, obj, protocol),
-    )
-
-
-def prescreen(
-    hand: Hand,
-    obj: ObjectModel,
-    grasps: GraspSet,
-    protocol: str | Protocol = "dexgraspbench",
-    *,
-    hold_s: float = 0.2,
-) -> np.ndarray:
-    """Which grasps are worth a full trial: the same trial with each force held for `hold_s` only.
-
-    Drop what it rejects; never accept what it passes. It runs the first part of the full trial, step for step, so with
-    `from_reset` protocols nothing it drops can pass: its recall is 1 by construction.
-
-    Returns:
-        (N,) bool, True = keep.
-    """
-    protocol = get_protocol(protocol)
-    if not protocol.from_reset:
-        raise InputError(
-            f"protocol '{protocol.name}' does not restart each force from the squeeze; it has no pre-screen."
-        )
-    return validate_grasps(hand, obj, grasps, replace(protocol, hold_s=min(hold_s, protocol.hold_s))).success
-
-
-def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -> dict[str, float]:
-    """Every number a success rate must be quoted with: the hand's, the object's and all of the protocol.
-
-    SI units, named in the key, except for pure numbers; `settled_speed` is both m/s and rad/s. Mass and frictions are
-    those used in the trial, after `object_mass_kg`, `friction` and `friction_scale`. Switches are 1 or 0.
-    """
-    protocol = get_protocol(protocol)
-    mass = object_mass(obj, protocol)
-    sliding, torsional, rolling = contact_friction(obj, protocol)
-    effort = hand.tree.effort
-    return {
-        "mass_kg": mass,
-        "friction": sliding,
-        "friction_scale": protocol.friction_scale,
-        "torsional_friction_m": torsional,
-        "rolling_friction_m": rolling,
-        "force_n": mass * protocol.force_per_mass,
-        "force_per_mass_m_s2": protocol.force_per_mass,
-        "min_joint_effort": float(effort.min()),
-        "max_joint_effort": float(effort.max()),
-        "drive_s": protocol.drive_s,
-        "hold_s": protocol.hold_s,
-        "from_reset": float(protocol.from_reset),
-        "max_displacement_m": protocol.max_displacement_m,
-        "max_rotation_rad": protocol.max_rotation_rad,
-        "max_start_penetration_m": protocol.max_start_penetration_m,
-        "check_every_steps": float(protocol.check_every),
-        "settled_speed": protocol.settled_speed,
-        "revolute_kp_n_m_per_rad": protocol.revolute.kp,
-        "revolute_kv_n_m_s_per_rad": protocol.revolute.kv,
-        "revolute_armature_kg_m2": protocol.revolute.armature,
-        "prismatic_kp_n_per_m": protocol.prismatic.kp,
-        "prismatic_kv_n_s_per_m": protocol.prismatic.kv,
-        "prismatic_armature_kg": protocol.prismatic.armature,
-        "timestep_s": protocol.timestep_s,
-        "noslip_iterations": float(protocol.noslip_iterations),
-        "solref_time_constant_s": protocol.solref[0],
-        "solref_damping_ratio": protocol.solref[1],
-        "solimp_lowest_impedance": protocol.solimp[0],
-        "solimp_highest_impedance": protocol.solimp[1],
-        "solimp_width_m": protocol.solimp[2],
-        "impratio": protocol.impratio,
-        "solver_iterations": float(protocol.solver_iterations),
-        "condim": float(CONTACT_DIMENSIONS),
-        "multiccd": float(protocol.multiccd),
-    }
-
-
-def check_pair(hand: Hand, obj: ObjectModel, grasps: GraspSet) -> None:
-    """Raise `InputError` unless `grasps` are of this hand and object, with as many joints as the hand."""
-    if grasps.hand != hand.name or grasps.object != obj.name:
-        raise InputError(
-            f"these grasps are of hand '{grasps.hand}' on object '{grasps.object}'; "
-            f"got hand '{hand.name}' and object '{obj.name}'. Load the pair that the grasps were made for."
-        )
-    for name in ("q", "q_pregrasp", "q_squeeze"):
-        hand.check_q(getattr(grasps, name))
+        return displacement <= self.protocol.max_displacement_m and angle <= self.protocol.max_rotation_rad

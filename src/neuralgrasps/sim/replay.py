@@ -11,8 +11,9 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.sim.grasp_trial import GraspTrial, Phase, TrialOutcome, check_pair
+from neuralgrasps.sim.grasp_trial import GraspTrial, Phase, TrialOutcome, silent_engine
 from neuralgrasps.sim.protocols import Protocol
+from neuralgrasps.sim.validate import check_pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +65,8 @@ def trial_trajectory(
         phases.append(phase)
         directions.append(direction)
 
-    outcome = trial.run(grasp.X_OH[0], grasp.q_pregrasp[0], grasp.q[0], grasp.q_squeeze[0], observe=record)
+    with silent_engine():
+        outcome = trial.run(grasp.X_OH[0], grasp.q_pregrasp[0], grasp.q[0], grasp.q_squeeze[0], observe=record)
     return TrialTrajectory(
         time_s=np.arange(len(poses)) * trial.protocol.timestep_s * trial.protocol.check_every,
         X_HO=np.stack(poses),
