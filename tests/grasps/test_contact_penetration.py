@@ -13,7 +13,7 @@ from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.mesh import box_mesh
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.penetration import depth_in_part, penetration_depths
-from neuralgrasps.grasps.quality import QualityConfig, grasp_diversity, grasp_quality
+from neuralgrasps.grasps.quality import QualityConfig, grasp_quality
 from neuralgrasps.hands.hand import PartKind
 from neuralgrasps.hands.packed import pack_hand
 from neuralgrasps.hands.signed_distance import hand_signed_distance
@@ -151,19 +151,3 @@ def test_wrong_quality_input_is_refused(jaw, packed, box, X_OH):
     for wrong in ({"friction": 0.0}, {"edges": 2}, {"torsion_m": -1.0}, {"threshold_m": 0.0}):
         with pytest.raises(InputError):
             QualityConfig(**wrong)
-
-
-def test_diversity_of_equal_and_of_spread_grasps(jaw, X_OH):
-    rng = np.random.default_rng(0)
-    same = np.tile(X_OH, (50, 1, 1))
-    q = np.full((50, 2), 0.02)
-    none = grasp_diversity(jaw, same, q, length=0.05)
-    assert none.entropy_bits == 0.0
-    assert (none.explained == 0).all()
-    along = same.copy()
-    along[:, 1, 3] = rng.uniform(-0.03, 0.03, 50)
-    assert grasp_diversity(jaw, along, q, length=0.05).explained[0] == pytest.approx(1.0)
-    two_values = np.repeat([[0.0, 0.0], [0.02, 0.03]], 25, axis=0)
-    assert grasp_diversity(jaw, same, two_values, length=0.05).entropy_bits == pytest.approx(1.0)
-    with pytest.raises(InputError):
-        grasp_diversity(jaw, same[:1], q[:1], length=0.05)

@@ -1,7 +1,7 @@
-"""Every quality of a set of grasps in one call, and how varied the set is.
+"""Every quality of a set of grasps in one call; how varied the set is says `diversity`.
 
 The metrics follow what published benchmarks report: penetration depth, contact distance, contact number, Q1 (epsilon),
-force residual, diversity. State friction, torsion and length beside them: they decide the numbers.
+force residual. State friction, torsion and length beside them: they decide the numbers.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from neuralgrasps.objects.object_model import ObjectModel
 
 FAR_M = 0.01  # contact distances are clipped to this
 NEAR_M = 2e-3  # a link nearer than this counts as touching
-ENTROPY_BINS = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,43 +211,3 @@ def _finger_distance(hand: Hand, distances: np.ndarray) -> np.ndarray:
         return np.full(len(distances), FAR_M)
     nearest = np.stack([distances[:, list(f.links)].min(axis=1) for f in fingers], axis=1)
     return np.minimum(np.abs(nearest), FAR_M).mean(axis=1)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Diversity:
-    """How varied a set of grasps is.
-
-    Attributes:
-        explained: (D,) share of the variance that each principal component explains, largest first. One large share =
-            little variety; all 0 when all grasps are equal.
-        entropy_bits: mean over joints of the entropy of the joint's value in 100 bins over its range; at most 6.64.
-    """
-
-    explained: np.ndarray
-    entropy_bits: float
-
-
-def grasp_diversity(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, length: float) -> Diversity:
-    """Variety of N grasps in palm position (divided by `length`, metres), rotation entries and joints / range.
-
-    Args:
-        X_OH: (N, 4, 4); q: (N, J); N >= 2.
-        length: size of the object, metres; see `characteristic_length`.
-    """
-    X_OH, q = np.asarray(X_OH, np.float64), np.asarray(q, np.float64)
-    check_shape("X_OH", X_OH.shape, (None, 4, 4))
-    check_shape("q", q.shape, (len(X_OH), hand.num_dofs))
-    if len(q) < 2:
-        raise InputError(f"diversity needs at least 2 grasps; got {len(q)}.")
-    X_OP = X_OH @ hand.X_HP
-    unit = (q - hand.tree.lower) / (hand.tree.upper - hand.tree.lower)
-    features = np.concatenate([X_OP[:, :3, 3] / length, X_OP[:, :3, :3].reshape(-1, 9), unit], axis=1)
-    variance = np.linalg.svd(features - features.mean(axis=0), compute_uv=False) ** 2
-    total = variance.sum()
-    bits = []
-    for column in np.clip(unit, 0.0, 1.0).T:
-        share = np.histogram(column, bins=ENTROPY_BINS, range=(0.0, 1.0))[0] / len(column)
-        share = share[share > 0]
-        bits.append(-(share * np.log2(share)).sum())
-    explained = variance / total if total > 1e-20 * len(q) else np.zeros_like(variance)  # less is rounding
-    return Diversity(explained=explained, entropy_bits=float(np.mean(bits)) if bits else 0.0)
