@@ -20,7 +20,7 @@ from neuralgrasps.errors import StorageError
 from neuralgrasps.files import write_whole
 from neuralgrasps.tensor_files import tensor_bytes
 
-CACHE_VERSION = "4"  # raise it when what is computed from a mesh changes
+CACHE_VERSION = "5"  # raise it when what is computed from a mesh changes
 
 
 def home_folder() -> Path:

@@ -17,7 +17,7 @@ from neuralgrasps.objects.convex_split import Piece, halve, sample_triangles, sp
 MAX_PARTS = 24
 MAX_VERTICES = 64
 _HULL_P95_M, _HULL_MAX_M = 0.001, 0.0025  # a hull this close needs no cutting
-_TOLERANCE_M = 0.0008
+_TOLERANCE_M = 0.0015
 _LOSS_M = 0.0006  # what a part may lose by its limit of vertices before it is halved
 _SPLIT_FACES = 4000
 _CLUSTER_SHARE = 0.015
