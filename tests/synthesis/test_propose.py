@@ -11,7 +11,7 @@ from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.oppose import opposition, pose_on_pair, thumb_and_fingers, tip_points
 from neuralgrasps.synthesis.propose import (
     START_GAP_M,
-    _draw_pairs,
+    draw_pairs,
     draw_preshapes,
     jaw_aperture,
     perpendicular,
@@ -62,7 +62,7 @@ def test_apertures_are_those_of_the_makers(hands):
 @pytest.mark.parametrize("friction", [0.2, 0.6])
 def test_pairs_obey_both_friction_cones_and_the_width(solids, solid, friction):
     obj = solids[solid]
-    start, exits, keep = _draw_pairs(obj, 2000, friction, 0.07, _rng())
+    start, exits, keep = draw_pairs(obj, 2000, friction, 0.07, _rng())
     start, exits = start[keep], exits[keep]
     assert len(start) > 100
     width = np.linalg.norm(exits - start, axis=1)
@@ -80,7 +80,7 @@ def test_pairs_obey_both_friction_cones_and_the_width(solids, solid, friction):
 
 
 def test_the_width_of_a_ball_pair_is_its_chord(solids):
-    start, exits, keep = _draw_pairs(solids["ball"], 500, FRICTION, 0.1, _rng())
+    start, exits, keep = draw_pairs(solids["ball"], 500, FRICTION, 0.1, _rng())
     direction = exits - start
     width = np.linalg.norm(direction, axis=1)
     chord = -2 * (start * direction).sum(1) / width

@@ -89,7 +89,7 @@ def jaw_aperture(hand: Hand) -> float:
     return float(advance.max() - advance.min())
 
 
-def _draw_pairs(
+def draw_pairs(
     obj: ObjectModel, count: int, friction: float, max_width: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Surface points (count, 3), where rays from them leave the object (count, 3), and which are antipodal (count,).
@@ -119,7 +119,7 @@ def propose_jaw(
     At most `count` come back (pairs that fail the cone or the aperture are dropped).
     Roll about the closing axis is uniform; the object's middle lies within `pad_depth_m` of the pads' middle.
     """
-    start, exits, keep = _draw_pairs(obj, count, friction, jaw_aperture(hand) - 2.0e-3, rng)
+    start, exits, keep = draw_pairs(obj, count, friction, jaw_aperture(hand) - 2.0e-3, rng)
     roll = rng.random(count) * 2 * np.pi
     depth = rng.uniform(-1.0, 1.0, count) * pad_depth_m
     start, exits, roll, depth = (a[keep] for a in (start, exits, roll, depth))
@@ -216,7 +216,7 @@ def propose_opposed(problem: GraspProblem, *, count: int, friction: float, rng: 
     found = thumb_and_fingers(hand)
     assert found is not None
     draws = DRAWS * count
-    start, exits, keep = _draw_pairs(problem.obj, draws, friction, MAX_SPAN_M, rng)
+    start, exits, keep = draw_pairs(problem.obj, draws, friction, MAX_SPAN_M, rng)
     roll = rng.random(draws) * 2 * np.pi
     back = np.abs(rng.normal(0.0, BACK_OFF_M, draws)) * (rng.random(draws) < 0.3)
     share = rng.dirichlet(np.ones(len(found[1])), draws)
