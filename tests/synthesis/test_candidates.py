@@ -15,10 +15,9 @@ from neuralgrasps.synthesis.candidates import (
     VALID,
     Candidates,
     close_and_assess,
-    perturb,
-    refine,
 )
 from neuralgrasps.synthesis.propose import propose_dexterous, propose_jaw
+from neuralgrasps.synthesis.refine import perturb, refine
 
 
 def _closed(problem, count=300, seed=0) -> Candidates:

@@ -1,4 +1,4 @@
-"""From start poses to assessed grasps: close, find contacts, epsilon, penetration; and refine by local search."""
+"""From start poses to assessed grasps: close, find contacts, epsilon, penetration."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numba import njit
 
-from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.epsilon import epsilon, epsilon_upper_bound
 from neuralgrasps.grasps.penetration import object_points_in_hand, self_penetration
@@ -207,42 +206,3 @@ def close_and_assess(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> 
         q_start, X_OH, closed, eps, depth, outcome,
     )  # fmt: skip
     return Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=eps, penetration_m=depth, outcome=outcome)
-
-
-def perturb(
-    hand: Hand, seeds: Candidates, *, scale: float, children: int, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """`children` start poses around each seed: 6 mm, 0.1 rad and 10 % of the preshape range, all times `scale`.
-
-    Returns X_OH (N * children, 4, 4) and q (N * children, J); children of one seed are neighbours.
-    """
-    count = len(seeds) * children
-    X_OH = np.repeat(seeds.X_OH, children, axis=0)
-    turn = rng.standard_normal((count, 3)) * (0.1 * scale)
-    angle = np.linalg.norm(turn, axis=1)
-    R = axis_angle_matrix(turn, angle)
-    palm = X_OH @ hand.X_HP
-    X_OH[:, :3, :3] = R @ X_OH[:, :3, :3]
-    # turn about the palm, not about the wrist
-    X_OH[:, :3, 3] += palm[:, :3, 3] - (X_OH @ hand.X_HP)[:, :3, 3]
-    X_OH[:, :3, 3] += rng.standard_normal((count, 3)) * (0.006 * scale)
-    span = hand.preshape_upper - hand.preshape_lower
-    q = np.repeat(seeds.q_start, children, axis=0)
-    q = q + rng.standard_normal((count, hand.num_dofs)) * (0.1 * scale) * span
-    return X_OH, np.clip(q, hand.preshape_lower, hand.preshape_upper)
-
-
-def refine(
-    problem: GraspProblem, seeds: Candidates, *, generations: int, children: int, rng: np.random.Generator
-) -> Candidates:
-    """Local search without derivatives: perturb, close again, keep the better epsilon; the scale shrinks by 0.7."""
-    best = seeds
-    for generation in range(generations):
-        X_OH, q = perturb(problem.hand, best, scale=0.7**generation, children=children, rng=rng)
-        tried = close_and_assess(problem, X_OH, q)
-        score = tried.epsilon.reshape(len(best), children)
-        winner = score.argmax(axis=1) + np.arange(len(best)) * children
-        better = tried.epsilon[winner] > best.epsilon
-        index = np.where(better, len(best) + winner, np.arange(len(best)))
-        best = Candidates.join([best, tried]).take(index)
-    return best

@@ -14,8 +14,8 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_rng
 from neuralgrasps.sim.build import contact_friction
-from neuralgrasps.sim.grasp_trial import validate_grasps
 from neuralgrasps.sim.protocols import get_protocol
+from neuralgrasps.sim.validate import validate_grasps
 from neuralgrasps.synthesis.candidates import (
     OUTCOMES,
     VALID,
@@ -23,10 +23,10 @@ from neuralgrasps.synthesis.candidates import (
     GraspProblem,
     close_and_assess,
     make_problem,
-    refine,
 )
 from neuralgrasps.synthesis.finish import finish_grasps
 from neuralgrasps.synthesis.propose import Proposals, jaw_aperture, propose_dexterous, propose_jaw
+from neuralgrasps.synthesis.refine import refine
 from neuralgrasps.synthesis.select import diverse_order
 
 
