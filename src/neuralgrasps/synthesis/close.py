@@ -13,12 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from neuralgrasps.geometry.pose_kernels import moved_point, turned_vector
 from neuralgrasps.grasps.contact import link_pose_in_object
 from neuralgrasps.hands.chains import moved_links
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
-from neuralgrasps.synthesis.clusters import hand_clearance, link_distance, sphere_distance
+from neuralgrasps.synthesis.clusters import (
+    hand_clearance_using,
+    link_distance_using,
+    most_clusters,
+    sphere_distance,
+)
 
 CONTACT_M = 3.0e-4  # a link closer than this touches
 START_OVERLAP_M = 1.0e-3  # a hand that starts deeper in the object cannot close
@@ -66,17 +72,29 @@ def make_closing(hand: Hand) -> Closing:
     return Closing(group.astype(np.int64), link_group.astype(np.int64), len(names), side, axis_H, unit)
 
 
+class CloseScratch(NamedTuple):
+    """What closing one hand overwrites: pose (3, 4), at_centre (`most_clusters`,) float64, active (J,) bool."""
+
+    pose: np.ndarray
+    at_centre: np.ndarray
+    active: np.ndarray
+
+
 @njit(cache=True, error_model="numpy")
-def _speed_bound(packed, X_HL, link, active):  # type: ignore[no-untyped-def]
+def new_close_scratch(packed, clusters):  # type: ignore[no-untyped-def]
+    """A `CloseScratch` for this hand."""
+    return CloseScratch(np.empty((3, 4)), np.empty(most_clusters(clusters)), np.empty(packed.lower.shape[0], np.bool_))
+
+
+@njit(cache=True, error_model="numpy")
+def speed_bound(packed, X_HL, link, active):  # type: ignore[no-untyped-def]
     """Largest speed (m/s) that any point of a link can have while the active joints close.
 
     It also bounds the distance a point ends up from its start: turn the joints one by one, inner ones first, and none
     changes a point's distance to the axes of those that follow.
     """
-    c = packed.link_centre[link]
-    x = X_HL[link, 0, 0] * c[0] + X_HL[link, 0, 1] * c[1] + X_HL[link, 0, 2] * c[2] + X_HL[link, 0, 3]
-    y = X_HL[link, 1, 0] * c[0] + X_HL[link, 1, 1] * c[1] + X_HL[link, 1, 2] * c[2] + X_HL[link, 1, 3]
-    z = X_HL[link, 2, 0] * c[0] + X_HL[link, 2, 1] * c[1] + X_HL[link, 2, 2] * c[2] + X_HL[link, 2, 3]
+    c = packed.link_centre
+    x, y, z = moved_point(X_HL[link], c[link, 0], c[link, 1], c[link, 2])
     speed = 0.0
     i = link
     while i > 0:
@@ -86,10 +104,7 @@ def _speed_bound(packed, X_HL, link, active):  # type: ignore[no-untyped-def]
                 if active[j]:
                     rate += packed.coupling[i, j] * packed.closing_rate[j]
         if rate != 0.0 and packed.joint_types[i] == 1:
-            a = packed.axes[i]
-            u = X_HL[i, 0, 0] * a[0] + X_HL[i, 0, 1] * a[1] + X_HL[i, 0, 2] * a[2]
-            v = X_HL[i, 1, 0] * a[0] + X_HL[i, 1, 1] * a[1] + X_HL[i, 1, 2] * a[2]
-            w = X_HL[i, 2, 0] * a[0] + X_HL[i, 2, 1] * a[1] + X_HL[i, 2, 2] * a[2]
+            u, v, w = turned_vector(X_HL[i], packed.axes[i, 0], packed.axes[i, 1], packed.axes[i, 2])
             dx, dy, dz = x - X_HL[i, 0, 3], y - X_HL[i, 1, 3], z - X_HL[i, 2, 3]
             along = dx * u + dy * v + dz * w
             lever = math.sqrt(max(dx * dx + dy * dy + dz * dz - along * along, 0.0))
@@ -127,20 +142,20 @@ def _room(packed, q, active):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X):  # type: ignore[no-untyped-def]
+def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X, at_centre):  # type: ignore[no-untyped-def]
     for _ in range(MAX_STEPS):
         step = _room(packed, q, active)
         for link in range(1, packed.link_radius.shape[0]):
             if closing.link_group[link] != group or clusters.of_link[link] == clusters.of_link[link + 1]:
                 continue
-            speed = _speed_bound(packed, X_HL, link, active)
+            speed = speed_bound(packed, X_HL, link, active)
             if speed == 0.0:
                 continue
             link_pose_in_object(X_OH, X_HL, link, X)
             reach = step * speed + CONTACT_M
             distance = sphere_distance(values, origin, inv_spacing, packed, X, link)
             if distance < reach:
-                distance = link_distance(values, origin, inv_spacing, packed, clusters, X, link, reach)
+                distance = link_distance_using(values, origin, inv_spacing, packed, clusters, X, link, reach, at_centre)
                 if distance < CONTACT_M:
                     _freeze(packed, link, active)
                     continue
@@ -161,14 +176,22 @@ def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, 
 
     Returns False when the start already penetrates by more than `START_OVERLAP_M`.
     """
+    scratch = new_close_scratch(packed, clusters)
+    return close_fingers_using(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL, scratch)
+
+
+@njit(cache=True, error_model="numpy")
+def close_fingers_using(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL, scratch):  # type: ignore[no-untyped-def]
+    """`close_fingers` without allocating, for CPU and GPU."""
+    X, at_centre, active = scratch.pose, scratch.at_centre, scratch.active
     pose_links(packed, q, X_HL)
-    if hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH, X_HL) < -START_OVERLAP_M:
+    clearance = hand_clearance_using(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, X, at_centre)
+    if clearance < -START_OVERLAP_M:
         return False
-    X, active = np.empty((3, 4)), np.empty(q.shape[0], np.bool_)
     for group in range(closing.groups):
         for j in range(q.shape[0]):
             active[j] = closing.group[j] == group
-        _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X)
+        _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X, at_centre)
     return True
 
 
@@ -179,29 +202,44 @@ def close_jaw(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X
     Both pads advance by their own distance at once: half of the sum closes the jaw, half of the
     difference shifts the hand. Returns True when both pads touch and nothing penetrates.
     """
-    X = np.empty((3, 4))
-    nearest = np.empty(3)  # against the axis, palm, along the axis
+    scratch = new_close_scratch(packed, clusters)
+    return close_jaw_using(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL, scratch)
+
+
+@njit(cache=True, error_model="numpy")
+def close_jaw_using(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL, scratch):  # type: ignore[no-untyped-def]
+    """`close_jaw` without allocating, for CPU and GPU."""
+    X, at_centre = scratch.pose, scratch.at_centre
     for _ in range(MAX_STEPS):
         pose_links(packed, q, X_HL)
-        nearest[:] = 1.0e9
+        against = palm = along = 1.0e9  # distances of the links that close against the axis, not at all, and along it
         for link in range(closing.side.shape[0]):
             if clusters.of_link[link] == clusters.of_link[link + 1]:
                 continue
             link_pose_in_object(X_OH, X_HL, link, X)
-            s = closing.side[link] + 1
-            if sphere_distance(values, origin, inv_spacing, packed, X, link) < nearest[s]:
-                nearest[s] = link_distance(values, origin, inv_spacing, packed, clusters, X, link, nearest[s])
-        if nearest.min() < -START_OVERLAP_M:
+            side = closing.side[link]
+            nearest = against if side < 0 else (along if side > 0 else palm)
+            if sphere_distance(values, origin, inv_spacing, packed, X, link) < nearest:
+                nearest = link_distance_using(
+                    values, origin, inv_spacing, packed, clusters, X, link, nearest, at_centre
+                )
+                if side < 0:
+                    against = nearest
+                elif side > 0:
+                    along = nearest
+                else:
+                    palm = nearest
+        if min(against, palm, along) < -START_OVERLAP_M:
             return False
-        if nearest[0] < CONTACT_M and nearest[2] < CONTACT_M:
+        if against < CONTACT_M and along < CONTACT_M:
             return True
-        minus, plus = max(nearest[0] - 0.5 * CONTACT_M, 0.0), max(nearest[2] - 0.5 * CONTACT_M, 0.0)
+        minus, plus = max(against - 0.5 * CONTACT_M, 0.0), max(along - 0.5 * CONTACT_M, 0.0)
         room = 1.0e9
         for j in range(q.shape[0]):
             if closing.unit[j] != 0.0:
                 end = packed.upper[j] if closing.unit[j] > 0.0 else packed.lower[j]
                 room = min(room, max((end - q[j]) / closing.unit[j], 0.0))
-        free = max(nearest[1] - 1.0e-4, 0.0)  # how far the palm may shift
+        free = max(palm - 1.0e-4, 0.0)  # how far the palm may shift
         shift = min(max(0.5 * (plus - minus), -free), free)
         advance = min(plus - shift, minus + shift, room)
         if advance < 1.0e-6 and abs(shift) < 1.0e-6:
