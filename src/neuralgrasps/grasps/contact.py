@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -13,6 +14,28 @@ from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 THRESHOLD_M = 2.5e-3
 MAX_PER_LINK = 3
 MIN_SEPARATION_M = 1.0e-3  # nearer points of one link count as one contact
+
+
+class ContactScratch(NamedTuple):
+    """What `find_contacts_using` overwrites; K is the most surface points of one link (`most_points`).
+
+    Attributes:
+        points, normals: (K, 3) float64; gap: (K,) float64; pose: (3, 4) float64.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    gap: np.ndarray
+    pose: np.ndarray
+
+
+@njit(cache=True, error_model="numpy")
+def most_points(packed):  # type: ignore[no-untyped-def]
+    """Most surface points of one link of a `PackedHand`, at least 1."""
+    most = 1
+    for link in range(packed.link_radius.shape[0]):
+        most = max(most, packed.link_point_start[link + 1] - packed.link_point_start[link])
+    return most
 
 
 @njit(cache=True, error_model="numpy")
@@ -33,10 +56,9 @@ def link_is_farther(values, origin, inv_spacing, packed, X_OL, link, reach):  # 
 @njit(cache=True, error_model="numpy")
 def _touching_points(values, origin, inv_spacing, packed, X, link, threshold, points, normals):  # type: ignore[no-untyped-def]
     """Points of a link nearer than `threshold`, projected on the object, the nearest first; returns how many."""
-    count, nearest, closest = 0, 0, np.inf
+    count, nearest, closest = 0, 0, math.inf
     for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
-        p = packed.point_L[k]
-        x, y, z = moved_point(X, p[0], p[1], p[2])
+        x, y, z = moved_point(X, packed.point_L[k, 0], packed.point_L[k, 1], packed.point_L[k, 2])
         if grid_distance(values, origin, inv_spacing, x, y, z) > threshold:
             continue
         d, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, x, y, z)
@@ -71,14 +93,23 @@ def find_contacts(  # type: ignore[no-untyped-def]
     Returns:
         the number of contacts; stops early when the outputs are full.
     """
-    links = packed.link_radius.shape[0]
-    longest = 1
-    for link in range(links):
-        longest = max(longest, packed.link_point_start[link + 1] - packed.link_point_start[link])
-    points, normals, gap = np.empty((longest, 3)), np.empty((longest, 3)), np.empty(longest)
-    X = np.empty((3, 4))
+    most = most_points(packed)
+    scratch = ContactScratch(np.empty((most, 3)), np.empty((most, 3)), np.empty(most), np.empty((3, 4)))
+    return find_contacts_using(
+        sdf_values, origin, inv_spacing, packed, X_OH, X_HL, threshold, max_per_link,
+        out_points, out_normals, out_links, scratch,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def find_contacts_using(  # type: ignore[no-untyped-def]
+    sdf_values, origin, inv_spacing, packed, X_OH, X_HL, threshold, max_per_link, out_points, out_normals, out_links,
+    scratch,
+):  # fmt: skip
+    """`find_contacts` without allocating, for CPU and GPU; `scratch` is a `ContactScratch`."""
+    points, normals, gap, X = scratch.points, scratch.normals, scratch.gap, scratch.pose
     total = 0
-    for link in range(links):
+    for link in range(packed.link_radius.shape[0]):
         if packed.link_point_start[link] == packed.link_point_start[link + 1]:
             continue
         link_pose_in_object(X_OH, X_HL, link, X)
@@ -86,7 +117,7 @@ def find_contacts(  # type: ignore[no-untyped-def]
             continue
         count = _touching_points(sdf_values, origin, inv_spacing, packed, X, link, threshold, points, normals)
         for i in range(count):
-            gap[i] = np.inf
+            gap[i] = math.inf
         chosen = 0
         for _ in range(min(count, max_per_link)):
             if total >= len(out_links):

@@ -12,6 +12,7 @@ many steps (5-15 in practice).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -39,11 +40,42 @@ class ContactForces(NamedTuple):
     converged: bool
 
 
+class ForceScratch(NamedTuple):
+    """What `edge_forces_using` overwrites: f, trial_f (>= W,), y, trial, step, gradient, column (7,), hessian (7, 7).
+
+    The first `count` entries of f hold the answer.
+    """
+
+    f: np.ndarray
+    trial_f: np.ndarray
+    y: np.ndarray
+    trial: np.ndarray
+    step: np.ndarray
+    gradient: np.ndarray
+    column: np.ndarray
+    hessian: np.ndarray
+
+
 @njit(cache=True, error_model="numpy")
-def _dual(wrenches, y, weight, f):  # type: ignore[no-untyped-def]
-    """Dual objective at y = (r, v); fills f (W,)."""
+def new_force_scratch(count):  # type: ignore[no-untyped-def]
+    """A `ForceScratch` for up to `count` wrenches."""
+    return ForceScratch(
+        np.empty(count),
+        np.empty(count),
+        np.empty(7),
+        np.empty(7),
+        np.empty(7),
+        np.empty(7),
+        np.empty(7),
+        np.empty((7, 7)),
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _dual(wrenches, count, y, weight, f):  # type: ignore[no-untyped-def]
+    """Dual objective at y = (r, v); fills f (count,)."""
     total = 0.0
-    for i in range(len(wrenches)):
+    for i in range(count):
         gap = y[6]
         for k in range(6):
             gap -= wrenches[i, k] * y[k]
@@ -56,14 +88,13 @@ def _dual(wrenches, y, weight, f):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _newton_system(wrenches, y, weight, f, gradient, hessian):  # type: ignore[no-untyped-def]
+def _newton_system(wrenches, count, y, weight, f, gradient, hessian, column):  # type: ignore[no-untyped-def]
     for a in range(7):
         gradient[a] = y[a] if a < 6 else -1.0
         for b in range(7):
             hessian[a, b] = 1.0 if a == b and a < 6 else 0.0
-    column = np.empty(7)
     column[6] = -1.0
-    for i in range(len(wrenches)):
+    for i in range(count):
         if f[i] <= 0.0:
             continue
         for k in range(6):
@@ -84,7 +115,7 @@ def _solve_in_place(matrix, vector):  # type: ignore[no-untyped-def]
     for j in range(size):
         for k in range(j):
             matrix[j, j] -= matrix[j, k] * matrix[j, k]
-        matrix[j, j] = np.sqrt(max(matrix[j, j], 1e-300))
+        matrix[j, j] = math.sqrt(max(matrix[j, j], 1e-300))
         for i in range(j + 1, size):
             for k in range(j):
                 matrix[i, j] -= matrix[i, k] * matrix[j, k]
@@ -109,51 +140,87 @@ def edge_forces(wrenches, weight=WEIGHT):  # type: ignore[no-untyped-def]
     Returns:
         f (W,) float64 >= 0 with sum 1, and whether the dual gradient fell below `TOLERANCE`.
     """
-    count = len(wrenches)
-    f, trial_f = np.empty(count), np.empty(count)
-    y, trial = np.zeros(7), np.empty(7)
-    step, gradient, hessian = np.empty(7), np.empty(7), np.empty((7, 7))
+    scratch = new_force_scratch(len(wrenches))
+    converged = edge_forces_using(wrenches, len(wrenches), weight, scratch)
+    return scratch.f, converged
+
+
+@njit(cache=True, error_model="numpy")
+def edge_forces_using(wrenches, count, weight, scratch):  # type: ignore[no-untyped-def]
+    """`edge_forces` of the first `count` wrenches without allocating, for CPU and GPU; scratch.f holds the answer.
+
+    Returns whether it converged.
+    """
+    f, trial_f, y, trial = scratch.f, scratch.trial_f, scratch.y, scratch.trial
+    step, gradient, hessian = scratch.step, scratch.gradient, scratch.hessian
     # start from equal forces at a heavy weight, then lower it: few Newton steps per level
     level = max(1.0, weight)
+    squared = 0.0
     for k in range(6):
+        y[k] = 0.0
         for i in range(count):
             y[k] += wrenches[i, k] / count
-    y[6] = level / count + (y[:6] * y[:6]).sum()
+        squared += y[k] * y[k]
+    y[6] = level / count + squared
     converged = False
     while True:
         converged = False
-        value = _dual(wrenches, y, level, f)
+        value = _dual(wrenches, count, y, level, f)
         for _ in range(MAX_STEPS):
-            _newton_system(wrenches, y, level, f, gradient, hessian)
-            largest = np.abs(gradient).max()
+            _newton_system(wrenches, count, y, level, f, gradient, hessian, scratch.column)
+            largest = 0.0
+            for a in range(7):
+                largest = max(largest, abs(gradient[a]))
             if largest < TOLERANCE:
                 converged = True
                 break
             for a in range(7):
                 step[a] = -gradient[a]
             if hessian[6, 6] == 0.0:
-                step[:6] = 0.0
+                for a in range(6):
+                    step[a] = 0.0
                 step[6] = level - y[6]
             else:
                 _solve_in_place(hessian, step)
-            slope = (step * gradient).sum()
+            slope = 0.0
+            for a in range(7):
+                slope += step[a] * gradient[a]
             size = 1.0
+            trial_value = value
             for _ in range(40):
-                trial[:] = y + size * step
-                trial_value = _dual(wrenches, trial, level, trial_f)
+                for a in range(7):
+                    trial[a] = y[a] + size * step[a]
+                trial_value = _dual(wrenches, count, trial, level, trial_f)
                 if trial_value <= value + 1e-4 * size * slope + 1e-15:
                     break
                 size *= 0.5
-            y[:] = trial
-            f[:] = trial_f
+            for a in range(7):
+                y[a] = trial[a]
+            for i in range(count):
+                f[i] = trial_f[i]
             value = trial_value
         if level <= weight:
             break
         level = max(level * 0.1, weight)
-    total = f.sum()
+    total = 0.0
+    for i in range(count):
+        total += f[i]
     if total > 0.0:
-        f /= total
-    return f, converged
+        for i in range(count):
+            f[i] /= total
+    return converged
+
+
+@njit(cache=True, error_model="numpy")
+def net_wrench(wrenches, count, f):  # type: ignore[no-untyped-def]
+    """|G f| of the first `count` wrenches: what these forces leave unbalanced, see `ContactForces.residual`."""
+    squared = 0.0
+    for k in range(6):
+        net = 0.0
+        for i in range(count):
+            net += f[i] * wrenches[i, k]
+        squared += net * net
+    return math.sqrt(squared)
 
 
 @njit(cache=True, error_model="numpy")
@@ -170,10 +237,8 @@ def contact_forces(points, normals, com, friction, edges=8, torsion=0.0, length=
     wrenches = np.empty((contacts * rows, 6))
     fill_grasp_wrenches(points, normals, contacts, com, friction, edges, torsion, length, wrenches)
     f, converged = edge_forces(wrenches, weight)
-    forces, net = np.zeros((contacts, 3)), np.zeros(6)
+    forces = np.zeros((contacts, 3))
     for i in range(contacts * rows):
-        for k in range(6):
-            net[k] += f[i] * wrenches[i, k]
         for k in range(3):
             forces[i // rows, k] += f[i] * wrenches[i, k]
-    return ContactForces(forces, np.sqrt((net * net).sum()), converged)
+    return ContactForces(forces, net_wrench(wrenches, contacts * rows, f), converged)

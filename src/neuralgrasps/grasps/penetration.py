@@ -37,6 +37,20 @@ class PenetrationDepths(NamedTuple):
         return np.maximum(np.maximum(self.hand_in_object, self.object_in_hand), self.hand_in_hand)
 
 
+class PoseScratch(NamedTuple):
+    """Three transforms, (3, 4) float64 each, that the kernels below overwrite."""
+
+    first: np.ndarray
+    second: np.ndarray
+    third: np.ndarray
+
+
+@njit(cache=True, error_model="numpy")
+def new_poses():  # type: ignore[no-untyped-def]
+    """A `PoseScratch`."""
+    return PoseScratch(np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4)))
+
+
 @njit(cache=True, error_model="numpy")
 def depth_in_part(packed, part, x, y, z):  # type: ignore[no-untyped-def]
     """Depth of a point (part frame) inside a convex part, metres; negative or 0 outside (not a distance there)."""
@@ -51,10 +65,10 @@ def depth_in_part(packed, part, x, y, z):  # type: ignore[no-untyped-def]
         return a - math.sqrt(x * x + y * y + along * along)
     if kind == _CYLINDER:
         return min(a - math.sqrt(x * x + y * y), b - abs(z))
-    depth = np.inf
+    depth = math.inf
     for h in range(packed.hull_plane_start[part], packed.hull_plane_start[part + 1]):
-        n = packed.hull_planes[h]
-        depth = min(depth, -(n[0] * x + n[1] * y + n[2] * z + n[3]))
+        n = packed.hull_planes
+        depth = min(depth, -(n[h, 0] * x + n[h, 1] * y + n[h, 2] * z + n[h, 3]))
         if depth <= 0.0:
             return depth
     return depth
@@ -86,12 +100,18 @@ def object_points_in_hand(probe, packed, X_OH, X_HL):  # type: ignore[no-untyped
     A depth changes by no more than the way a point moves, so a group whose ball's middle is farther outside
     than the ball's radius is passed over.
     """
-    X_OL, X_LO, X_PO = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4))
+    return object_points_in_hand_using(probe, packed, X_OH, X_HL, new_poses())
+
+
+@njit(cache=True, error_model="numpy")
+def object_points_in_hand_using(probe, packed, X_OH, X_HL, poses):  # type: ignore[no-untyped-def]
+    """`object_points_in_hand` without allocating, for CPU and GPU."""
+    X_OL, X_LO, X_PO = poses.first, poses.second, poses.third
     deepest = 0.0
     for part in range(len(packed.part_kind)):
         link_pose_in_object(X_OH, X_HL, packed.part_link[part], X_OL)
-        m, radius = packed.part_centre[part], packed.part_radius[part]
-        cx, cy, cz = moved_point(X_OL, m[0], m[1], m[2])
+        m, radius = packed.part_centre, packed.part_radius[part]
+        cx, cy, cz = moved_point(X_OL, m[part, 0], m[part, 1], m[part, 2])
         rigid_inverse(X_OL, X_LO)
         rigid_product(packed.part_X_PL[part], X_LO, X_PO)
         for g in range(len(probe.radius)):
@@ -108,16 +128,15 @@ def object_points_in_hand(probe, packed, X_OH, X_HL):  # type: ignore[no-untyped
 
 
 @njit(cache=True, error_model="numpy")
-def _link_points_in_part(packed, X_HL, link, part):  # type: ignore[no-untyped-def]
+def _link_points_in_part(packed, X_HL, link, part, poses):  # type: ignore[no-untyped-def]
     """Largest depth of the surface points of `link` in a part of another link."""
-    X_LH, X_PH, X_PA = np.empty((3, 4)), np.empty((3, 4)), np.empty((3, 4))
+    X_LH, X_PH, X_PA = poses.first, poses.second, poses.third
     rigid_inverse(X_HL[packed.part_link[part]], X_LH)
     rigid_product(packed.part_X_PL[part], X_LH, X_PH)
     rigid_product(X_PH, X_HL[link], X_PA)
     deepest = 0.0
     for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
-        p = packed.point_L[k]
-        x, y, z = moved_point(X_PA, p[0], p[1], p[2])
+        x, y, z = moved_point(X_PA, packed.point_L[k, 0], packed.point_L[k, 1], packed.point_L[k, 2])
         deepest = max(deepest, depth_in_part(packed, part, x, y, z))
     return deepest
 
@@ -139,6 +158,12 @@ def _sphere_gap(X_HL, link_a, centre_a, radius_a, link_b, centre_b, radius_b):  
 @njit(cache=True, error_model="numpy")
 def self_penetration(packed, X_HL):  # type: ignore[no-untyped-def]
     """Largest depth of one link's surface points in the parts of another, over `packed.self_pairs`, metres, >= 0."""
+    return self_penetration_using(packed, X_HL, new_poses())
+
+
+@njit(cache=True, error_model="numpy")
+def self_penetration_using(packed, X_HL, poses):  # type: ignore[no-untyped-def]
+    """`self_penetration` without allocating, for CPU and GPU."""
     deepest = 0.0
     for s in range(len(packed.self_pairs)):
         a, b = packed.self_pairs[s, 0], packed.self_pairs[s, 1]
@@ -162,7 +187,7 @@ def self_penetration(packed, X_HL):  # type: ignore[no-untyped-def]
                 packed.link_radius[other],
             )
             if gap < 0.0:
-                deepest = max(deepest, _link_points_in_part(packed, X_HL, other, part))
+                deepest = max(deepest, _link_points_in_part(packed, X_HL, other, part, poses))
     return deepest
 
 

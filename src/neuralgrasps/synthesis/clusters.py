@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.grasps.contact import link_pose_in_object
@@ -57,6 +58,15 @@ def cluster_points(packed: PackedHand, *, size: int = POINTS_PER_CLUSTER) -> tup
 
 
 @njit(cache=True, error_model="numpy")
+def most_clusters(clusters):  # type: ignore[no-untyped-def]
+    """Most clusters of one link."""
+    most = 0
+    for link in range(clusters.of_link.shape[0] - 1):
+        most = max(most, clusters.of_link[link + 1] - clusters.of_link[link])
+    return most
+
+
+@njit(cache=True, error_model="numpy")
 def least_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-untyped-def]
     """`grid_distance`, but never more than the true distance where the point lies outside the grid.
 
@@ -82,34 +92,34 @@ def least_distance(values, origin, inv_spacing, x, y, z):  # type: ignore[no-unt
 @njit(cache=True, error_model="numpy")
 def sphere_distance(values, origin, inv_spacing, packed, X, link):  # type: ignore[no-untyped-def]
     """Lower bound of a link's distance to the object, from the link's bounding sphere; X (3, 4) link in object."""
-    c = packed.link_centre[link]
-    x = X[0, 0] * c[0] + X[0, 1] * c[1] + X[0, 2] * c[2] + X[0, 3]
-    y = X[1, 0] * c[0] + X[1, 1] * c[1] + X[1, 2] * c[2] + X[1, 3]
-    z = X[2, 0] * c[0] + X[2, 1] * c[1] + X[2, 2] * c[2] + X[2, 3]
+    c = packed.link_centre
+    x, y, z = moved_point(X, c[link, 0], c[link, 1], c[link, 2])
     return least_distance(values, origin, inv_spacing, x, y, z) - packed.link_radius[link]
 
 
 @njit(cache=True, error_model="numpy")
 def link_distance(values, origin, inv_spacing, packed, clusters, X, link, limit):  # type: ignore[no-untyped-def]
     """Smallest signed distance of a link's surface points to the object; `limit` when that is nearer."""
+    at_centre = np.empty(clusters.of_link[link + 1] - clusters.of_link[link])
+    return link_distance_using(values, origin, inv_spacing, packed, clusters, X, link, limit, at_centre)
+
+
+@njit(cache=True, error_model="numpy")
+def link_distance_using(values, origin, inv_spacing, packed, clusters, X, link, limit, at_centre):  # type: ignore[no-untyped-def]
+    """`link_distance` without allocating, for CPU and GPU; overwrites `at_centre` (>= clusters of the link,)."""
     first, last = clusters.of_link[link], clusters.of_link[link + 1]
     best = limit
-    at_centre = np.empty(last - first)
+    p = packed.point_L
     for c in range(first, last):
-        p = packed.point_L[clusters.start[c]]
-        x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-        y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-        z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+        k = clusters.start[c]
+        x, y, z = moved_point(X, p[k, 0], p[k, 1], p[k, 2])
         at_centre[c - first] = least_distance(values, origin, inv_spacing, x, y, z)
         best = min(best, at_centre[c - first])
     for c in range(first, last):
         if at_centre[c - first] - clusters.radius[c] >= best:
             continue
         for k in range(clusters.start[c] + 1, clusters.start[c + 1]):
-            p = packed.point_L[k]
-            x = X[0, 0] * p[0] + X[0, 1] * p[1] + X[0, 2] * p[2] + X[0, 3]
-            y = X[1, 0] * p[0] + X[1, 1] * p[1] + X[1, 2] * p[2] + X[1, 3]
-            z = X[2, 0] * p[0] + X[2, 1] * p[1] + X[2, 2] * p[2] + X[2, 3]
+            x, y, z = moved_point(X, p[k, 0], p[k, 1], p[k, 2])
             best = min(best, least_distance(values, origin, inv_spacing, x, y, z))
     return best
 
@@ -117,12 +127,18 @@ def link_distance(values, origin, inv_spacing, packed, clusters, X, link, limit)
 @njit(cache=True, error_model="numpy")
 def hand_clearance(values, origin, inv_spacing, packed, clusters, X_OH, X_HL):  # type: ignore[no-untyped-def]
     """Smallest signed distance, metres, of the hand's surface points to the object."""
-    X = np.empty((3, 4))
+    X, at_centre = np.empty((3, 4)), np.empty(most_clusters(clusters))
+    return hand_clearance_using(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, X, at_centre)
+
+
+@njit(cache=True, error_model="numpy")
+def hand_clearance_using(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, X, at_centre):  # type: ignore[no-untyped-def]
+    """`hand_clearance` without allocating, for CPU and GPU; overwrites X (3, 4) and `at_centre` (`most_clusters`,)."""
     best = 1.0e9
     for link in range(packed.link_radius.shape[0]):
         if clusters.of_link[link] == clusters.of_link[link + 1]:
             continue
         link_pose_in_object(X_OH, X_HL, link, X)
         if sphere_distance(values, origin, inv_spacing, packed, X, link) < best:
-            best = link_distance(values, origin, inv_spacing, packed, clusters, X, link, best)
+            best = link_distance_using(values, origin, inv_spacing, packed, clusters, X, link, best, at_centre)
     return best
