@@ -14,9 +14,18 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.errors import RobotDescriptionError
-from neuralgrasps.hands.closing import MovableHand, closing_shares, movable_hand, open_and_closed, sliding_joints, unit
+from neuralgrasps.hands.closing import (
+    MovableHand,
+    closing_shares,
+    movable_hand,
+    open_and_closed,
+    sliding_joints,
+    tips_nearest,
+    unit,
+)
 from neuralgrasps.hands.contact import SelfContact, doubts
 from neuralgrasps.hands.hand import ConvexPart
+from neuralgrasps.hands.linkages import tips_stay_parallel
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
 from neuralgrasps.hands.radial import RadialHand, radial_hand
 from neuralgrasps.hands.thumb import (
@@ -58,7 +67,9 @@ def complete_notes(
         return given, ()
     model = movable_hand(name, _working_ranges(tree), parts, given)
     contact = SelfContact(model, parts)
-    radial = radial_hand(model, contact, normal_H=None if given.X_HP is None else given.X_HP[:3, 2])
+    radial = None
+    if not (_has_jaw_motion(model) if given.is_jaw is None else given.is_jaw):
+        radial = radial_hand(model, contact, normal_H=None if given.X_HP is None else given.X_HP[:3, 2])
     if radial is None:
         notes, guessed = _from_motion(
             model, contact, given, has_free_joints=not np.array_equal(model.tree.upper, tree.upper)
@@ -88,11 +99,15 @@ def _from_motion(
     if has_free_joints:  # they have no ends, but the fingers meet somewhere
         q_closed = contact.last_free(q_open, q_closed)
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
-    is_jaw = _is_jaw(model, closing, q_open, q_closed) if given.is_jaw is None else given.is_jaw
+    is_jaw = _has_jaw_motion(model) if given.is_jaw is None else given.is_jaw
     thumb = find_thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else given_thumb(given)
     if not is_jaw and thumb is not None:
         q_open, q_closed = oppose_thumb(model, closing, thumb, q_open, q_closed)
-    pad = _jaw_pad(model, q_open, normal) if is_jaw and given.jaw_pad_H is None else given.jaw_pad_H
+    pad = (
+        _jaw_pad(model, q_open + HALF_CLOSED * (q_closed - q_open), normal)
+        if is_jaw and given.jaw_pad_H is None
+        else given.jaw_pad_H
+    )
     X_HP = given.X_HP if given.X_HP is not None else _palm(model, q_open, q_closed, normal, pad)
     guessed = _joint_notes(model, closing, q_open, q_closed, normal, thumb, is_jaw)
     notes = replace(given, is_jaw=is_jaw, jaw_pad_H=pad, X_HP=X_HP)
@@ -170,7 +185,7 @@ def _merge(given: JointNotes, guessed: JointNotes) -> JointNotes:
 
 def _palm_normal(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -> np.ndarray:
     """Axis of the palm link that best points to where the fingertips go when the hand half closes."""
-    q_half = q_open + HALF_CLOSED * (q_closed - q_open)
+    q_half = q_open + HALF_CLOSED * (tips_nearest(model, q_open, q_closed) - q_open)
     before, after = model.tips(q_open), model.tips(q_half)
     centre = model.palm_centre(q_half)
     outwards = unit(after.mean(axis=0) - centre)
@@ -181,22 +196,29 @@ def _palm_normal(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -
     return candidates[int(np.argmax(candidates @ (outwards + inwards)))].copy()
 
 
-def _is_jaw(model: MovableHand, closing: np.ndarray, q_open: np.ndarray, q_closed: np.ndarray) -> bool:
-    """Two fingers that slide towards each other on one joint, whose value falls as they close."""
+def _has_jaw_motion(model: MovableHand) -> bool:
+    """Two fingers on one joint whose tips slide, or are swung without turning, straight towards each other."""
     tree = model.tree
-    if len(model.fingers) != 2 or tree.num_dofs != 1 or not sliding_joints(tree)[0] or closing[0] >= 0:
+    if len(model.fingers) != 2 or tree.num_dofs != 1:
         return False
-    motion = model.tips(q_closed) - model.tips(q_open)
-    return bool(unit(motion[0]) @ unit(motion[1]) < -0.95)
+    closing = closing_shares(model)
+    q_open, q_closed = open_and_closed(model, closing)
+    if not closing[0] or not tips_stay_parallel(tree, model.tip_link, q_open, q_closed):
+        return False
+    first, second = model.tips(q_closed) - model.tips(q_open)
+    across = unit(model.tips(q_open)[1] - model.tips(q_open)[0])
+    along = unit(first + second)
+    first, second = (m - (m @ along) * along for m in (first, second))  # swung tips also move out of the palm
+    return bool(unit(first) @ unit(second) < -0.95 and abs(unit(first) @ across) > 0.9)
 
 
-def _jaw_pad(model: MovableHand, q_open: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _jaw_pad(model: MovableHand, q: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Middle between the inner faces of two fingers, over the outer `PAD_LENGTH` of the fingers, in H."""
-    tips = model.tips(q_open)
+    tips = model.tips(q)
     across = unit(tips[1] - tips[0])
     faces = []
     for f, finger in enumerate(model.fingers):
-        points, normals = model.cloud_H(finger, q_open)
+        points, normals = model.cloud_H(finger, q)
         inner = normals @ across * (1.0 if f == 0 else -1.0) > 0.9
         points = points[inner] if inner.any() else tips[f : f + 1]
         height = points @ normal

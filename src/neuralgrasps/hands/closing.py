@@ -10,6 +10,7 @@ import numpy as np
 from neuralgrasps.errors import RobotDescriptionError
 from neuralgrasps.hands.chains import find_fingers, moved_links, rigid_bodies
 from neuralgrasps.hands.hand import ConvexPart
+from neuralgrasps.hands.linkages import without_struts
 from neuralgrasps.hands.notes import HandNotes
 from neuralgrasps.hands.parts import sample_part
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
@@ -76,6 +77,7 @@ def movable_hand(name: str, tree: KinematicTree, parts: Sequence[ConvexPart], gi
     moved = moved_links(tree)
     if given.fingers is None:
         fingers = tuple(f for f in fingers if any(i in clouds for i in f) and moved[list(f)].any())
+        fingers = without_struts(tree, fingers, clouds, moved)
     if not fingers:
         raise RobotDescriptionError(
             f"hand '{name}': no fingers found (branches with movable joints and geometry); name them in a hand.toml "
@@ -174,6 +176,16 @@ def open_and_closed(model: MovableHand, closing: np.ndarray) -> tuple[np.ndarray
     closed = np.where(closing > 0, tree.upper, np.where(closing < 0, tree.lower, model.q0))
     opened = np.where(closing != 0, open_values(model, closing, closed), model.q0)
     return opened, closed
+
+
+def tips_nearest(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -> np.ndarray:
+    """The posture on the way from open to closed with the fingertips nearest to each other; beyond it they cross."""
+    if len(model.fingers) < 2:
+        return q_closed
+    path = q_open + np.linspace(0.0, 1.0, 21)[1:, None] * (q_closed - q_open)
+    tips = model.tips(path)
+    gaps = np.linalg.norm(tips[:, :, None] - tips[:, None], axis=-1).mean(axis=(1, 2))
+    return path[int(np.argmin(gaps))]
 
 
 def unit(v: np.ndarray) -> np.ndarray:

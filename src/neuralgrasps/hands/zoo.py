@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import difflib
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 from neuralgrasps.errors import RobotDescriptionError, unknown_name
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.loader import hand_from_description
 from neuralgrasps.hands.notes import HandNotes, load_hand_notes
+from neuralgrasps.hands.whole_robot import find_hand
 from neuralgrasps.kinematics.description import RobotDescription
 from neuralgrasps.kinematics.mjcf import load_mjcf
 from neuralgrasps.kinematics.safe_xml import read_xml
-from neuralgrasps.kinematics.urdf import load_urdf
+from neuralgrasps.kinematics.subtree import RobotOutline
+from neuralgrasps.kinematics.urdf import load_urdf, outline_urdf
 
 MissingMeshes = Literal["error", "skip"]
 _HANDS = ("fetch", "panda", "barrett", "allegro", "human")
@@ -36,26 +41,28 @@ def hand_folder(name: str) -> Path:
     return Path(str(resources.files("neuralgrasps"))) / "assets" / "hands" / name
 
 
-def load_hand(name_or_path: str | Path, *, missing_meshes: MissingMeshes = "error") -> Hand:
+def load_hand(name_or_path: str | Path, *, link: str | None = None, missing_meshes: MissingMeshes = "error") -> Hand:
     """A built-in hand by name, or any hand from a URDF or MJCF file.
 
     A file is annotated automatically (palm, fingers, closing directions, preshapes). A `hand.toml`, or `<file>.toml`,
     beside it overrides whatever it states. A folder stands for the hand.xml, or the only URDF or MJCF, in it.
+    In the file of a whole robot the hand is found, and this is said; or its base is named by `link`.
 
     Args:
         name_or_path: a name of `hand_names()`, or a path to a .urdf or .xml file or a folder with one.
+        link: the link to take as the hand's base, with everything that hangs on it.
         missing_meshes: "skip" leaves out link shapes of a URDF whose mesh files are missing or unreadable.
     Raises:
         UnknownNameError: neither a known name nor a file.
         RobotDescriptionError: the file cannot be used as a hand.
     """
     if isinstance(name_or_path, str) and name_or_path in _HANDS:
-        return _load_file(hand_folder(name_or_path) / "hand.xml")
+        return _load_file(hand_folder(name_or_path) / "hand.xml", link, missing_meshes)
     path = Path(name_or_path)
     if path.is_dir():
         path = _only_robot_file(path)
     if path.is_file():
-        return _load_file(path, missing_meshes)
+        return _load_file(path, link, missing_meshes)
     raise _not_found(str(name_or_path))
 
 
@@ -78,8 +85,30 @@ def _only_robot_file(folder: Path) -> Path:
     return found[0]
 
 
-def _load_file(path: Path, missing_meshes: MissingMeshes = "error") -> Hand:
-    return hand_from_description(load_robot(path, missing_meshes=missing_meshes), _notes_beside(path))
+def _load_file(path: Path, link: str | None, missing_meshes: MissingMeshes) -> Hand:
+    if link is not None:
+        description = load_robot(path, link=link, missing_meshes=missing_meshes)
+    else:
+        description = _hand_only(path, missing_meshes)
+    return hand_from_description(description, _notes_beside(path))
+
+
+def _hand_only(path: Path, missing_meshes: MissingMeshes) -> RobotDescription:
+    """The file's hand: all of it, or of a whole robot the limb that is one."""
+    is_urdf = read_xml(path, root_tag=None, kind="robot").tag == "robot"
+    whole = None if is_urdf else load_robot(path)
+    link = find_hand(path.stem, outline_urdf(path) if whole is None else _outline(whole))
+    if link is None:
+        return whole or load_robot(path, missing_meshes=missing_meshes)
+    limb = load_robot(path, link=link, missing_meshes=missing_meshes)
+    remark = f"the file holds a whole robot: link '{link}' and what hangs on it was taken for the hand."
+    return replace(limb, name=f"{limb.name}_{link}", repairs=(remark, *limb.repairs))
+
+
+def _outline(description: RobotDescription) -> RobotOutline:
+    has_shape = np.zeros(description.tree.num_links, bool)
+    has_shape[[g.link for g in description.geometries]] = True
+    return RobotOutline(tree=description.tree, has_shape=has_shape)
 
 
 def _notes_beside(path: Path) -> HandNotes | None:
@@ -89,8 +118,12 @@ def _notes_beside(path: Path) -> HandNotes | None:
     return None
 
 
-def load_robot(path: str | Path, *, missing_meshes: MissingMeshes = "error") -> RobotDescription:
+def load_robot(
+    path: str | Path, *, link: str | None = None, missing_meshes: MissingMeshes = "error"
+) -> RobotDescription:
     """Read a URDF or MJCF file, told apart by the root tag of its XML; `missing_meshes` as for `load_hand`.
+
+    All of it, or what hangs on `link`. Visual shapes are read for links that have no collision shape.
 
     Raises:
         RobotDescriptionError: the file is neither, or cannot be used.
@@ -98,7 +131,7 @@ def load_robot(path: str | Path, *, missing_meshes: MissingMeshes = "error") -> 
     path = Path(path)
     root = read_xml(path, root_tag=None, kind="robot").tag
     if root == "robot":
-        return load_urdf(path, missing_meshes=missing_meshes)
+        return load_urdf(path, link=link, with_visuals=False, missing_meshes=missing_meshes)
     if root == "mujoco":
-        return load_mjcf(path)
+        return load_mjcf(path, link=link)
     raise RobotDescriptionError(f"'{path.name}' has the root tag <{root}>; expected <robot> (URDF) or <mujoco> (MJCF).")

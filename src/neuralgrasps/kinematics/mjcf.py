@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -15,26 +14,29 @@ from neuralgrasps.geometry.mesh import Mesh, sphere_mesh
 from neuralgrasps.geometry.se3_numpy import make_transform_np, quaternion_matrix
 from neuralgrasps.kinematics.assemble import JointSpec, Mimic, build_tree
 from neuralgrasps.kinematics.description import GeometryKind, LinkGeometry, LinkInertial, RobotDescription
+from neuralgrasps.kinematics.mjcf_couplings import joint_couplings
 from neuralgrasps.kinematics.mjcf_effort import joint_efforts
 from neuralgrasps.kinematics.safe_xml import read_xml
+from neuralgrasps.kinematics.subtree import cut_limb
 from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, REVOLUTE
 
 MAX_INCLUDES = 64
 HINGE, SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-FREE, JOINT_EQUALITY = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtEq.mjEQ_JOINT)
+FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 NUMBERS = ("body_pos", "body_quat", "body_ipos", "geom_pos", "geom_quat", "geom_size", "jnt_pos", "jnt_axis", "qpos0")
 
 
-def load_mjcf(path: str | Path) -> RobotDescription:
+def load_mjcf(path: str | Path, *, link: str | None = None) -> RobotDescription:
     """Read an MJCF file through MuJoCo's compiler.
 
     Link 0 is the only body of the world, or the world itself when it has several. A link's frame is its body's
     frame moved to the position of the body's last joint (MuJoCo's `jnt_pos`, mostly zero). A body with several
-    joints gets one virtual link per extra joint, named "body/joint". Linear joint equalities become rows of
-    `tree.coupling`; polynomial ones are replaced by the nearest line, with a sentence in `repairs`.
+    joints gets one virtual link per extra joint, named "body/joint". Linear equalities of joints and of fixed tendons
+    become rows of `tree.coupling`; polynomial ones are replaced by the nearest line, with a sentence in `repairs`.
 
     Args:
         path: the file; includes and meshes are resolved as MuJoCo does.
+        link: only this link and what hangs on it; the whole robot when None.
     Raises:
         RobotDescriptionError: not an MJCF, entities in it, MuJoCo cannot compile it, or ball joints.
     """
@@ -48,7 +50,7 @@ def load_mjcf(path: str | Path) -> RobotDescription:
     bad = [name for name in NUMBERS if not np.isfinite(getattr(model, name)).all()]
     if bad:
         raise RobotDescriptionError(f"MJCF '{path.name}' has numbers that are not finite ({', '.join(bad)}).")
-    return _Reader(path=path, model=model).description()
+    return _Reader(path=path, model=model, link=link).description()
 
 
 def _check_safe(path: Path) -> None:
@@ -80,6 +82,7 @@ def _check_numbers(path: Path, root: Element) -> None:
 class _Reader:
     path: Path
     model: mujoco.MjModel
+    link: str | None
     notes: list[str] = field(default_factory=list)
     base: int = field(init=False)
     frames: dict[int, str] = field(init=False)  # body -> link that carries its shapes
@@ -109,9 +112,11 @@ class _Reader:
         self.frames, self.shift = {}, {}
         bodies = [b for b in range(model.nbody) if b == self.base or (b and self.base != b)]
         links, joints = self._links_and_joints(bodies)
+        if self.link is not None:
+            links, joints = cut_limb(self.source, links, joints, self.link, self.notes)
+            self.frames = {body: link for body, link in self.frames.items() if link in links}
         tree = build_tree(self.source, links, joints, self.notes)
         index = {name: i for i, name in enumerate(tree.link_names)}
-        self._note_ignored()
         geometries = [g for k in range(model.ngeom) if (g := self._geometry(k, index)) is not None]
         inertials: list[LinkInertial | None] = [None] * tree.num_links
         for body, link in self.frames.items():
@@ -136,7 +141,7 @@ class _Reader:
     def _links_and_joints(self, bodies: list[int]) -> tuple[list[str], list[JointSpec]]:
         links, joints = [], []
         efforts = joint_efforts(self.model)
-        mimics = self._mimics()
+        mimics = joint_couplings(self.model, self.source, self.joint_name, self.notes)
         for body in bodies:
             self._check_joint_types(body)
             parent, link = int(self.model.body_parentid[body]), self.body_name(body)
@@ -195,52 +200,6 @@ class _Reader:
             mimic=mimic,
             zero=float(model.qpos0[model.jnt_qposadr[j]]),
         )
-
-    def _mimics(self) -> dict[int, Mimic | float]:
-        """Active joint equalities by dependent joint: q1 - ref1 = a0 + a1 (q2 - ref2) + ..., or a constant."""
-        model, found = self.model, dict[int, Mimic | float]()
-        for e in range(model.neq):
-            if model.eq_type[e] != JOINT_EQUALITY or not model.eq_active0[e]:
-                continue
-            first, second, a = int(model.eq_obj1id[e]), int(model.eq_obj2id[e]), model.eq_data[e, :5]
-            if first in found:
-                raise RobotDescriptionError(
-                    f"{self.source}: joint '{self.joint_name(first)}' is set by two equalities; keep one."
-                )
-            ref1 = float(model.qpos0[model.jnt_qposadr[first]])
-            if second < 0:  # the joint is held at a constant
-                found[first] = ref1 + float(a[0])
-                continue
-            ref2 = float(model.qpos0[model.jnt_qposadr[second]])
-            constant, slope = self._line(first, second, a, ref2)
-            offset = ref1 + constant - slope * ref2
-            found[first] = Mimic(joint=self.joint_name(second), multiplier=slope, offset=offset)
-        return found
-
-    def _line(self, first: int, second: int, a: np.ndarray, ref2: float) -> tuple[float, float]:
-        """(a0, a1), or the best line over the second joint's range where the equality is curved."""
-        if not np.any(a[2:]):
-            return float(a[0]), float(a[1])
-        lower, upper = self.model.jnt_range[second] if self.model.jnt_limited[second] else (-math.pi, math.pi)
-        x = np.linspace(lower, upper, 101) - ref2
-        y = np.polynomial.polynomial.polyval(x, a)
-        constant, slope = np.polynomial.polynomial.polyfit(x, y, 1)
-        worst = float(np.max(np.abs(constant + slope * x - y)))
-        self.notes.append(
-            f"the equality of joint '{self.joint_name(first)}' is curved: replaced by a line, off by up to {worst:.3g}."
-        )
-        return float(constant), float(slope)
-
-    def _note_ignored(self) -> None:
-        model = self.model
-        for e in range(model.neq):
-            kind = mujoco.mjtEq(int(model.eq_type[e])).name.removeprefix("mjEQ_").lower()
-            if kind != "joint":
-                self.notes.append(f"a '{kind}' equality was ignored; only joint equalities are read.")
-            elif not model.eq_active0[e]:
-                self.notes.append(
-                    f"the inactive equality of joint '{self.joint_name(model.eq_obj1id[e])}' was ignored."
-                )
 
     # -- shapes --------------------------------------------------------------
 

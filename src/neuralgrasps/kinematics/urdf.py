@@ -17,6 +17,7 @@ from neuralgrasps.geometry.se3_numpy import make_transform_np, rpy_matrix
 from neuralgrasps.kinematics.assemble import JointSpec, Mimic, build_tree
 from neuralgrasps.kinematics.description import GeometryKind, LinkGeometry, LinkInertial, RobotDescription
 from neuralgrasps.kinematics.safe_xml import read_xml
+from neuralgrasps.kinematics.subtree import RobotOutline, cut_limb
 from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, REVOLUTE, KinematicTree
 from neuralgrasps.kinematics.urdf_meshes import MeshFinder
 
@@ -28,7 +29,11 @@ Colour = tuple[float, float, float, float]
 
 
 def load_urdf(
-    path: str | Path, *, with_visuals: bool = True, missing_meshes: Literal["error", "skip"] = "error"
+    path: str | Path,
+    *,
+    link: str | None = None,
+    with_visuals: bool = True,
+    missing_meshes: Literal["error", "skip"] = "error",
 ) -> RobotDescription:
     """Read a URDF file, mending what can be mended and saying so in `repairs`.
 
@@ -38,6 +43,7 @@ def load_urdf(
 
     Args:
         path: the file. Meshes are searched near it (`package://`, `file://` and relative paths).
+        link: only this link and what hangs on it; the whole robot when None.
         with_visuals: also read visual shapes of links that have collision shapes.
         missing_meshes: what to do about a collision mesh that is missing on a link with no visual shape:
             "error", or "skip" it with a sentence in `repairs` (for reading the kinematics alone).
@@ -48,7 +54,14 @@ def load_urdf(
     path = Path(path)
     root = read_xml(path, root_tag="robot", kind="URDF")
     reader = _Reader(path=path, root=root, with_visuals=with_visuals, skip_missing=missing_meshes == "skip")
-    return reader.description()
+    return reader.description(link)
+
+
+def outline_urdf(path: str | Path) -> RobotOutline:
+    """The tree of a URDF and which links have shapes; no mesh is read. Raises as `load_urdf` does."""
+    path = Path(path)
+    root = read_xml(path, root_tag="robot", kind="URDF")
+    return _Reader(path=path, root=root, with_visuals=False, skip_missing=True).outline()
 
 
 @dataclass(slots=True, kw_only=True)
@@ -79,7 +92,13 @@ class _Reader:
     def fail(self, message: str) -> RobotDescriptionError:
         return RobotDescriptionError(f"{self.source}: {message}")
 
-    def description(self) -> RobotDescription:
+    def outline(self) -> RobotOutline:
+        tree, elements = self._tree(None)
+        shapes = [any(elements[n].find(kind) is not None for kind in ("collision", "visual")) for n in tree.link_names]
+        return RobotOutline(tree=tree, has_shape=np.array(shapes, bool))
+
+    def _tree(self, link: str | None) -> tuple[KinematicTree, dict[str, Element]]:
+        """The tree, from `link` outwards or whole, and the elements of all links by name."""
         elements = {}
         for element in self.root.findall("link"):
             name = self._attribute(element, "name", "a link")
@@ -88,7 +107,14 @@ class _Reader:
             elements[name] = element
         joints = [self._joint(e) for e in self.root.findall("joint")]
         self._drop_loose_links(elements, joints)
-        tree = build_tree(self.source, list(elements), joints, self.notes)
+        links = list(elements)
+        if link is not None:
+            links, joints = cut_limb(self.source, links, joints, link, self.notes)
+            self.continuous = [n for n in self.continuous if any(j.name == n for j in joints)]
+        return build_tree(self.source, links, joints, self.notes), elements
+
+    def description(self, link: str | None) -> RobotDescription:
+        tree, elements = self._tree(link)
         geometries = tuple(g for i, n in enumerate(tree.link_names) for g in self._geometries(i, elements[n]))
         inertials = tuple(self._inertial(n, elements[n]) for n in tree.link_names)
         self._note_groups(tree)
@@ -127,7 +153,9 @@ class _Reader:
         collision = [g for e in element.findall("collision") for g in self._shape(link, name, e, False, problems)]
         if problems or not collision or self.with_visuals:
             lost: list[str] = []
-            visual = [g for e in element.findall("visual") for g in self._shape(link, name, e, True, lost)]
+            visual = [
+                g for e in element.findall("visual") for g in self._shape(link, name, e, True, lost, tell=not collision)
+            ]
             if lost:
                 self.lost_visuals.append(name)
         else:
@@ -142,7 +170,7 @@ class _Reader:
         yield from visual
 
     def _shape(
-        self, link: int, name: str, element: Element, is_visual: bool, problems: list[str]
+        self, link: int, name: str, element: Element, is_visual: bool, problems: list[str], *, tell: bool = True
     ) -> Iterator[LinkGeometry]:
         where = f"{element.tag} of link '{name}'"
         geometry = element.find("geometry")
@@ -153,7 +181,7 @@ class _Reader:
         if shape.tag == "mesh":
             try:
                 kind: GeometryKind = "mesh"
-                size, mesh = np.zeros(3), self._mesh(shape, where, tell=not is_visual)
+                size, mesh = np.zeros(3), self._mesh(shape, where, tell=tell)
             except MeshError as error:
                 problems.append(str(error))
                 return

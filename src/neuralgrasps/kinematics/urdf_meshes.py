@@ -9,7 +9,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from neuralgrasps.errors import MeshError
-from neuralgrasps.geometry.mesh import Mesh, load_mesh
+from neuralgrasps.geometry.mesh import LoadedMesh, Mesh, load_mesh
 
 MAX_LEVELS = 6  # folders above the URDF that are searched
 MAX_SIZE = 5.0  # m; no link of a hand or arm is longer, so a longer one is in millimetres
@@ -48,10 +48,16 @@ class MeshFinder:
         if key not in self._loaded:
             path = self.find(reference)
             loaded = load_mesh(path, unit="m")
-            if tell and not loaded.closed:
-                self.notes.append(f"mesh '{path.name}' is not closed: only its convex hull is reliable.")
+            if tell:
+                self._tell(path.name, loaded)
             self._loaded[key] = self._in_metres(loaded.mesh, path.name, scale)
         return self._loaded[key]
+
+    def _tell(self, name: str, loaded: LoadedMesh) -> None:
+        if not loaded.closed:
+            self.notes.append(f"mesh '{name}' is not closed: only its convex hull is reliable.")
+        # a seam welded is how files are written; a body turned or a corner lost is a fault of this one
+        self.notes.extend(f"mesh '{name}': {r}." for r in loaded.repairs if r.startswith(("turned", "dropped")))
 
     def _in_metres(self, mesh: Mesh, name: str, scale: tuple[float, float, float] | None) -> Mesh:
         factors = np.array(scale if scale is not None else (1.0, 1.0, 1.0))
