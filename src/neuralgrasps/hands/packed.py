@@ -172,12 +172,19 @@ def _overlap(packed, X_HL, a, b):  # type: ignore[no-untyped-def]
     depth = 0.0
     for turn in range(2):
         link, other = (a, b) if turn == 0 else (b, a)
-        X = X_HL[link]
-        for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
-            p = packed.point_L[k]
-            x, y, z = moved_point(X, p[0], p[1], p[2])
-            for part in range(packed.part_link.shape[0]):
-                if packed.part_link[part] == other:
+        X, m = X_HL[link], packed.link_centre[link]
+        mx, my, mz = moved_point(X, m[0], m[1], m[2])
+        for part in range(packed.part_link.shape[0]):
+            if packed.part_link[part] != other:
+                continue
+            c, radius = packed.part_centre[part], packed.part_radius[part]
+            cx, cy, cz = moved_point(X_HL[other], c[0], c[1], c[2])
+            if (mx - cx) ** 2 + (my - cy) ** 2 + (mz - cz) ** 2 >= (radius + packed.link_radius[link]) ** 2:
+                continue
+            for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
+                p = packed.point_L[k]
+                x, y, z = moved_point(X, p[0], p[1], p[2])
+                if (x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2 < radius * radius:
                     depth = max(depth, -part_distance_H(packed, X_HL, part, x, y, z))
     return depth
 
