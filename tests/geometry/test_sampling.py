@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from neuralgrasps.errors import InputError, MeshError, ShapeError
 from neuralgrasps.geometry.mesh import Mesh, box_mesh, capsule_mesh, face_areas_normals, signed_distance
-from neuralgrasps.geometry.sampling import even_surface_points, farthest_points, sample_surface
+from neuralgrasps.geometry.sampling import cover, even_surface_points, farthest_points, sample_surface
 
 HALF = np.array([0.03, 0.05, 0.02])
 
@@ -90,3 +90,16 @@ def test_surfaces_without_area_are_refused() -> None:
         sample_surface(flat, 5, 0)
     with pytest.raises(InputError, match="spacing is 0"):
         even_surface_points(box_mesh(HALF), 0.0, 0)
+
+
+@pytest.mark.parametrize("radius", [0.05, 0.15, 0.5, 5.0])
+def test_cover_is_that_of_the_plain_algorithm(radius):
+    rng = np.random.default_rng(3)
+    points = np.round(rng.random((400, 3)), 1)  # many equal points and equal distances
+    chosen = [0]
+    while True:
+        nearest = ((points[:, None] - points[chosen]) ** 2).sum(axis=-1).min(axis=1)
+        if nearest.max() < radius**2:
+            break
+        chosen.append(int(nearest.argmax()))
+    np.testing.assert_array_equal(cover(points, radius), chosen)

@@ -160,3 +160,51 @@ def _thin_kernel(points, cells, distance):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _hash(i, j, k, size):  # type: ignore[no-untyped-def]
     return ((i * 73856093) ^ (j * 19349663) ^ (k * 83492791)) & (size - 1)
+
+
+def cover(points: np.ndarray, radius: float) -> np.ndarray:
+    """Indices of farthest points (K,), taken from the first on until every point (N, 3) has one within `radius`.
+
+    The points lie in boxes; a box none of whose points is farther from the chosen ones than from the box to the new one
+    is passed over. Ties go to the lower index, so the choice is that of the plain algorithm.
+    """
+    points = np.asarray(points, np.float64)
+    cells = np.floor((points - points.min(axis=0)) / (4.0 * radius)).astype(np.int64)
+    _, label = np.unique(cells, axis=0, return_inverse=True)
+    order = np.argsort(label.ravel(), kind="stable")
+    counts = np.bincount(label.ravel())
+    start = np.concatenate([[0], np.cumsum(counts)])
+    packed = np.ascontiguousarray(points[order])
+    low, high = np.minimum.reduceat(packed, start[:-1]), np.maximum.reduceat(packed, start[:-1])
+    return _cover_kernel(packed, order, start, low, high, radius)
+
+
+@njit(cache=True, error_model="numpy")
+def _cover_kernel(points, order, start, low, high, radius):  # type: ignore[no-untyped-def]
+    count, boxes, limit = points.shape[0], start.shape[0] - 1, radius * radius
+    nearest, chosen = np.full(count, np.inf), np.empty(count, np.int64)
+    top, top_at = np.full(boxes, np.inf), np.zeros(boxes, np.int64)  # farthest point of each box, and where it is
+    last = 0
+    while order[last] != 0:
+        last += 1
+    for used in range(count):
+        chosen[used] = order[last]
+        px, py, pz = points[last, 0], points[last, 1], points[last, 2]
+        best, last = -1.0, 0
+        for b in range(boxes):
+            dx = max(low[b, 0] - px, 0.0, px - high[b, 0])
+            dy = max(low[b, 1] - py, 0.0, py - high[b, 1])
+            dz = max(low[b, 2] - pz, 0.0, pz - high[b, 2])
+            if dx * dx + dy * dy + dz * dz < top[b]:
+                top[b] = -1.0
+                for i in range(start[b], start[b + 1]):
+                    dx, dy, dz = points[i, 0] - px, points[i, 1] - py, points[i, 2] - pz
+                    d = min(nearest[i], dx * dx + dy * dy + dz * dz)
+                    nearest[i] = d
+                    if d > top[b]:
+                        top[b], top_at[b] = d, i
+            if top[b] > best or (top[b] == best and order[top_at[b]] < order[last]):
+                best, last = top[b], top_at[b]
+        if best < limit:
+            return chosen[: used + 1]
+    return chosen

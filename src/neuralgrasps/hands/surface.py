@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
+from neuralgrasps.geometry.sampling import cover
 from neuralgrasps.hands.chains import rigid_bodies
 from neuralgrasps.hands.hand import ConvexPart, Hand
 from neuralgrasps.hands.parts import part_distances, part_mesh, sample_part
@@ -102,32 +102,8 @@ def _body_surface(
         points.append(p[~hidden])
         normals.append(n[~hidden])
         links.append(np.full(int((~hidden).sum()), part.link))
-    everything = np.ascontiguousarray(np.concatenate(pool_B).T)
-    chosen = _cover(everything[0], everything[1], everything[2], _COVER * spacing)
+    chosen = cover(np.concatenate(pool_B), _COVER * spacing)
     return np.concatenate(points)[chosen], np.concatenate(normals)[chosen], np.concatenate(links)[chosen]
-
-
-@njit(cache=True, error_model="numpy")
-def _cover(x, y, z, radius):  # type: ignore[no-untyped-def]
-    """Indices of farthest points, taken until every point has one within `radius`."""
-    count = x.shape[0]
-    nearest = np.full(count, np.inf)
-    chosen = np.empty(count, np.int64)
-    used, last, limit = 0, 0, radius * radius
-    while used < count:
-        chosen[used] = last
-        used += 1
-        px, py, pz = x[last], y[last], z[last]
-        best, last = -1.0, 0
-        for i in range(count):
-            dx, dy, dz = x[i] - px, y[i] - py, z[i] - pz
-            d = min(nearest[i], dx * dx + dy * dy + dz * dz)
-            nearest[i] = d
-            if d > best:
-                best, last = d, i
-        if best < limit:
-            break
-    return chosen[:used]
 
 
 def pose_surface(hand: Hand, surface: HandSurface, X_OH: Tensor, q: Tensor) -> Tensor:
