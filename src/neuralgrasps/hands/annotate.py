@@ -27,6 +27,7 @@ from neuralgrasps.hands.contact import SelfContact, doubts
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.linkages import tips_stay_parallel
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
+from neuralgrasps.hands.opening import lean_outwards
 from neuralgrasps.hands.radial import RadialHand, radial_hand
 from neuralgrasps.hands.thumb import (
     PRESHAPE_SHARE,
@@ -101,6 +102,8 @@ def _from_motion(
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
     is_jaw = _has_jaw_motion(model) if given.is_jaw is None else given.is_jaw
     thumb = find_thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else given_thumb(given)
+    if not is_jaw:
+        q_open = lean_outwards(model, contact, closing, q_open, q_closed, normal)
     if not is_jaw and thumb is not None:
         q_open, q_closed = oppose_thumb(model, closing, thumb, q_open, q_closed)
     pad = (
