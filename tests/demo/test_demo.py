@@ -11,7 +11,7 @@ import pytest
 from neuralgrasps.dataset.read import read_dataset
 from neuralgrasps.dataset.verify import verify_dataset
 from neuralgrasps.demo.data import DemoConfig, DemoResult
-from neuralgrasps.demo.run import object_sources, run_demo
+from neuralgrasps.demo.run import run_demo
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_io import load_grasps
 
@@ -98,13 +98,6 @@ def test_bad_settings_are_refused(tmp_path):
     with pytest.raises(InputError, match="at least 6"):
         DemoConfig(count=2)
     with pytest.raises(InputError, match="holds no mesh"):
-        object_sources(DemoConfig(objects=(str(tmp_path),)))
+        run_demo(DemoConfig(objects=(str(tmp_path),), out=tmp_path / "out"))
     with pytest.raises(InputError, match="no object"):
-        object_sources(DemoConfig(objects=()))
-
-
-def test_a_folder_stands_for_its_meshes(tmp_path):
-    for name in ("b.stl", "a.ply", "notes.txt"):
-        (tmp_path / name).write_text("x")
-    found = object_sources(DemoConfig(objects=("cracker_box", str(tmp_path))))
-    assert found == ("cracker_box", str(tmp_path / "a.ply"), str(tmp_path / "b.stl"))
+        run_demo(DemoConfig(objects=(), out=tmp_path / "out"))

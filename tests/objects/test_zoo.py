@@ -12,7 +12,7 @@ from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.objects.build import object_from_mesh
 from neuralgrasps.objects.builtin import STAND_INS
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.objects.zoo import load_object, object_names
+from neuralgrasps.objects.zoo import load_object, object_names, object_sources
 
 
 def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> Path:
@@ -155,6 +155,19 @@ def test_a_surface_without_volume_is_refused():
     flat = Mesh(np.array([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     with pytest.raises(MeshError, match="expected a solid"):
         object_from_mesh("sheet", flat)
+
+
+def test_a_folder_stands_for_its_meshes(tmp_path: Path):
+    with pytest.raises(InputError, match="holds no mesh"):
+        object_sources((str(tmp_path),))
+    for name in ("b.stl", "a.ply", "notes.txt"):
+        (tmp_path / name).write_text("x")
+    found = object_sources(("cracker_box", str(tmp_path)))
+    assert found == ("cracker_box", str(tmp_path / "a.ply"), str(tmp_path / "b.stl"))
+    with pytest.raises(InputError, match="no object"):
+        object_sources(())
+    with pytest.raises(InputError, match="does not exist"):
+        object_sources(("cracker_box", str(tmp_path / "c.ply")))
 
 
 @pytest.mark.parametrize("key, value", [("mass_kg", 0.0), ("mass_kg", float("nan")), ("friction", -0.1)])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 from neuralgrasps.dataset.build import build_dataset
 from neuralgrasps.dataset.collect import collect_grasps
@@ -19,11 +18,11 @@ from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.model.checkpoint import save_run
 from neuralgrasps.model.train import train
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.objects.zoo import object_sources
 from neuralgrasps.parallel import available_cpus
 from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
 Progress = Callable[[str, int, int, str], None]
-MESH_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".off")
 
 
 def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = None) -> DemoResult:
@@ -40,7 +39,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
     config = config or DemoConfig()
     say = progress or (lambda *_: None)
     workers = config.workers or available_cpus()
-    sources = object_sources(config)
+    sources = object_sources(config.objects)
     with Meter(lambda stage: say(stage, 0, 0, "")) as meter:
         with meter.stage("hands and objects"):
             hands = {hand.name: hand for hand in map(load_hand, config.hands)}
@@ -82,29 +81,6 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
         path = write_page(data, meter, workers=workers, progress=lambda *a: say("pictures", *a))
     figures = demo_figures(data, meter.stages)
     return DemoResult(report_path=path, figures=figures, summary=summary_lines(data, figures))
-
-
-def object_sources(config: DemoConfig) -> tuple[str, ...]:
-    """Names or paths of the objects to load; a folder stands for its mesh files, sorted.
-
-    Raises:
-        InputError: a mesh file is missing, a folder holds no mesh, or no object is given.
-    """
-    sources: list[str] = []
-    for given in config.objects:
-        folder = Path(given)
-        if folder.suffix.lower() in MESH_SUFFIXES and not folder.exists():
-            raise InputError(f"mesh file '{folder}' does not exist; check the path.")
-        if not folder.is_dir():
-            sources.append(given)
-            continue
-        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in MESH_SUFFIXES)
-        if not found:
-            raise InputError(f"folder '{folder}' holds no mesh; expected files ending in {', '.join(MESH_SUFFIXES)}.")
-        sources += map(str, found)
-    if not sources:
-        raise InputError("no object was given; expected names, mesh files or folders of mesh files.")
-    return tuple(sources)
 
 
 def _load_objects(sources: Sequence[str], workers: int, say: Progress) -> dict[str, ObjectModel]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from neuralgrasps.errors import unknown_name
+from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.geometry.mesh import LengthUnit, load_mesh
 from neuralgrasps.objects.build import object_from_mesh
 from neuralgrasps.objects.builtin import STAND_INS, StandIn, find_stand_in
@@ -18,6 +19,29 @@ _MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf
 def object_names() -> tuple[str, ...]:
     """Names that `load_object` knows: the seven stand-ins, then whatever was imported or downloaded."""
     return (*STAND_INS, *(n for n in imported_names() if n not in STAND_INS))
+
+
+def object_sources(given: Sequence[str]) -> tuple[str, ...]:
+    """Names or paths of objects to load; a folder stands for its mesh files, sorted.
+
+    Raises:
+        InputError: a mesh file is missing, a folder holds no mesh, or no object is given.
+    """
+    sources: list[str] = []
+    for text in given:
+        folder = Path(text)
+        if folder.suffix.lower() in _MESH_SUFFIXES and not folder.exists():
+            raise InputError(f"mesh file '{folder}' does not exist; check the path.")
+        if not folder.is_dir():
+            sources.append(text)
+            continue
+        found = sorted(p for p in folder.iterdir() if p.suffix.lower() in _MESH_SUFFIXES)
+        if not found:
+            raise InputError(f"folder '{folder}' holds no mesh; expected files ending in {', '.join(_MESH_SUFFIXES)}.")
+        sources += map(str, found)
+    if not sources:
+        raise InputError("no object was given; expected names, mesh files or folders of mesh files.")
+    return tuple(sources)
 
 
 def load_object(
