@@ -7,7 +7,7 @@ import platform
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 import numpy as np
 
@@ -15,17 +15,17 @@ import neuralgrasps
 from neuralgrasps.cli.progress import ProgressBar
 from neuralgrasps.cli.terminal import counted
 from neuralgrasps.parallel import available_cpus
+from neuralgrasps.report.contact_sheet import SheetPair, contact_sheets
 from neuralgrasps.report.content import (
     ContactFigure,
     DemoReport,
-    GraspFigure,
     HandFigure,
     Histogram,
     KeyFigure,
     SynthesisRow,
     Table,
 )
-from neuralgrasps.report.figures import render_contact_map, render_grasp, render_hand
+from neuralgrasps.report.figures import render_contact_map, render_hand
 from neuralgrasps.report.page import write_report
 from neuralgrasps.report.sections import pretty_name
 
@@ -33,71 +33,81 @@ if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
+    from neuralgrasps.report.feasibility import PairSummary
 
-SHOWN = 12
+SHOWN = 60
+FEW = 12  # pictures that are drawn before other processes would have started
 CONTACTS_SHOWN = 4
 TOUCH_M = 0.004  # points of the object nearer than this to the hand count as touched
 
 
 def write_grasp_page(
     path: Path,
-    hand: Hand,
-    obj: ObjectModel,
-    grasps: GraspSet,
-    depth_m: np.ndarray,
+    pair: SheetPair,
     figures: Mapping[str, Any],
     *,
     command: str,
+    workers: int | None,
     progress: ProgressBar,
 ) -> Path:
-    """Write the page of one pair; the first, most diverse grasps are drawn.
-
-    `depth_m`: (N,) overlaps as `measured_penetration` finds them; `figures` as `pair_figures` makes them.
-    """
+    """Write the page of one pair: all its grasps, but no more than `SHOWN`; `figures` are those of the JSON result."""
+    hand, obj, grasps = pair.hand, pair.obj, pair.grasps
     shown, maps = min(SHOWN, len(grasps)), min(CONTACTS_SHOWN, len(grasps))
     total = shown + maps + 1
     verdict = grasps.verdicts[grasps.protocol]
-    cards = []
-    for i in range(shown):
-        image = render_grasp(hand, obj, grasps.X_OH[i], grasps.q[i])
-        cards.append(
-            GraspFigure(
-                hand=hand.name,
-                object=obj.name,
-                image=image,
-                epsilon=float(grasps.epsilon[i]),
-                penetration_mm=float(depth_m[i] * 1e3),
-                success=bool(verdict.success[i]),
-                displacement_mm=float(verdict.displacement_m[i] * 1e3),
-                note=f"grasp {i} of the file",
-            )
-        )
-        progress(i + 1, total)
+    sheets = contact_sheets(
+        [pair], shown=shown, workers=workers if shown > FEW else 1, progress=lambda done, *_: progress(done, total)
+    )
     contacts = _contact_figures(hand, obj, grasps[:maps], progress, shown, total)
     report = DemoReport(
         title=f"{pretty_name(hand.name)} on {pretty_name(obj.name)}",
-        command=command,
-        subtitle=f"{len(grasps)} diverse {'grasp' if len(grasps) == 1 else 'grasps'}, each held by the physics "
-        f"protocol '{grasps.protocol}'.",
-        machine=f"{platform.system()} {platform.machine()}, {available_cpus()} cores",
-        seed=grasps.seed,
-        version=neuralgrasps.__version__,
-        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        subtitle=f"{counted(len(grasps), 'diverse grasp')}, each held by the physics protocol '{grasps.protocol}'.",
+        **about_this_run(command, grasps.seed),
         key_figures=_key_figures(figures),
         hands=(HandFigure(hand=hand.name, image=render_hand(hand), text=_hand_text(hand)),),
-        grasps=tuple(cards),
+        sheets=sheets,
         contacts=contacts,
         synthesis=(_synthesis_row(figures),),
-        tables=(_trial_table(grasps.protocol, verdict.parameters),),
+        tables=(trial_table(grasps.protocol, verdict.parameters),),
         histograms=(
             Histogram(
                 title="Largest disturbance resisted", unit="epsilon", values={hand.name: np.array(grasps.epsilon)}
             ),
-            Histogram(title="Overlap", unit="mm", values={hand.name: depth_m * 1e3}, limit=1.0),
+            Histogram(title="Overlap", unit="mm", values={hand.name: pair.depth_m * 1e3}, limit=1.0),
         ),
         notes=tuple(_notes(hand, obj, verdict.parameters)),
     )
     return write_report(report, path)
+
+
+class RunFacts(TypedDict):
+    """What a page says about the run that made it."""
+
+    command: str
+    machine: str
+    seed: int
+    version: str
+    created: str
+
+
+def about_this_run(command: str, seed: int) -> RunFacts:
+    return RunFacts(
+        command=command,
+        machine=f"{platform.system()} {platform.machine()}, {available_cpus()} cores",
+        seed=seed,
+        version=neuralgrasps.__version__,
+        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+    )
+
+
+def set_text(pair: PairSummary) -> str:
+    """A line of figures of all grasps of a pair."""
+    kinds = f", {pair.precision} precision and {pair.power} power" if pair.precision + pair.power else ""
+    return (
+        f"{pair.validated} of {pair.wanted} grasps{kinds}; {pair.held_text} of {pair.tried_in_physics} tried; "
+        f"ε {pair.epsilon_median:.3f} (median); overlap {pair.penetration_p95_mm:.2f} mm (95th percentile), "
+        f"{pair.penetration_max_mm:.2f} mm at most; {pair.cpu_s:.1f} CPU s."
+    )
 
 
 def _contact_figures(
@@ -164,7 +174,7 @@ def _hand_text(hand: Hand) -> str:
     return joints if hand.licence in ("", "not stated") else f"{joints}, {hand.licence}"
 
 
-def _trial_table(protocol: str, numbers: Mapping[str, float]) -> Table:
+def trial_table(protocol: str, numbers: Mapping[str, float]) -> Table:
     """Every number that decided whether a grasp held, in the units people read."""
     facts = (
         ("mass given to the object", "mass_kg", 1e3, "g"),

@@ -6,7 +6,7 @@ and shows as a dash. An empty section is left out of the page. Texts are plain; 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,6 +40,7 @@ class GraspFigure:
         penetration_mm: deepest overlap of hand and object.
         success: held in the physics trial; None when it was not run.
         displacement_mm: how far the object moved in the hand during the trial.
+        kind: what touches, such as "precision, 3 fingers".
         note: anything else, one short line.
     """
 
@@ -50,7 +51,47 @@ class GraspFigure:
     penetration_mm: float | None = None
     success: bool | None = None
     displacement_mm: float | None = None
+    kind: str = ""
     note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactSheet:
+    """Diverse grasps of one hand on one object, drawn side by side; `text`: a line of figures of the whole set."""
+
+    hand: str
+    object: str
+    grasps: tuple[GraspFigure, ...]
+    text: str = ""
+
+    def with_text(self, text: str) -> ContactSheet:
+        return replace(self, text=text)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeasibilityCell:
+    """What one hand can do with one object.
+
+    Attributes:
+        value: such as "60 of 60"; notes: lines under it, such as "97 % held".
+        problem: why there are none, in two or three words; "" when there are some. reason: the same with its numbers.
+    """
+
+    hand: str
+    object: str
+    value: str
+    notes: tuple[str, ...] = ()
+    problem: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeasibilityFigure:
+    """Every hand on every object. `hands`, `objects`: name -> picture; a pair without a cell shows a dash."""
+
+    hands: dict[str, np.ndarray]
+    objects: dict[str, np.ndarray]
+    cells: tuple[FeasibilityCell, ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,6 +270,8 @@ class DemoReport:
     created: str = ""
     key_figures: tuple[KeyFigure, ...] = ()
     hands: tuple[HandFigure, ...] = ()
+    feasibility: FeasibilityFigure | None = None
+    sheets: tuple[ContactSheet, ...] = ()
     grasps: tuple[GraspFigure, ...] = ()
     contacts: tuple[ContactFigure, ...] = ()
     retrieval: tuple[RetrievalRow, ...] = ()

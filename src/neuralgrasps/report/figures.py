@@ -38,7 +38,7 @@ SIZE = (480, 360)
 
 def render_grasp(
     hand: Hand,
-    obj: ObjectModel,
+    obj: ObjectModel | Mesh,
     X_OH: np.ndarray,
     q: np.ndarray,
     *,
@@ -49,7 +49,7 @@ def render_grasp(
     """Picture of a hand holding an object, the object upright along its own z.
 
     Args:
-        hand, obj: what to draw.
+        hand: the hand; obj: the object, or any mesh (z up).
         X_OH: (4, 4) hand base in the object frame; q: (J,) joints.
         size: width and height, pixels.
         view: (3,) direction from the object towards the camera (object frame); the most telling one when None.
@@ -59,10 +59,11 @@ def render_grasp(
     Raises:
         ShapeError: `X_OH` or `q` holds more or less than one grasp, or `vertex_values` does not fit the mesh.
     """
+    mesh = obj if isinstance(obj, Mesh) else obj.mesh
     hand_surfaces = posed_hand_surfaces(hand, X_OH, q)
-    surfaces = [*hand_surfaces, object_surface(obj.mesh, vertex_values)]
+    surfaces = [*hand_surfaces, object_surface(mesh, vertex_values)]
     if view is None:
-        view = best_direction([s.caster or s.mesh for s in hand_surfaces], obj.mesh)
+        view = best_direction([s.caster or s.mesh for s in hand_surfaces], mesh)
     return _picture(surfaces, view, size)
 
 

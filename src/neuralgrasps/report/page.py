@@ -21,6 +21,7 @@ from neuralgrasps.report.sections import (
     retrieval_section,
     transfer_section,
 )
+from neuralgrasps.report.sheet_sections import feasibility_section, sheets_section
 from neuralgrasps.report.table_sections import (
     dataset_table,
     histograms_html,
@@ -42,6 +43,12 @@ _TEXTS = {
     "the object throughout the physics trial. ε is the largest disturbance the contacts resist in any "
     "direction; overlap is how deep hand and object cut into each other; slip is how far the object "
     "moved in the hand.",
+    "feasibility": "Each cell shows the first grasp of a pair, how many were found of those wanted, and the share of "
+    "the grasps tried in physics that held, before any was dropped.",
+    "sheets": "Each sheet shows the most diverse grasps of a pair, in farthest-point order, drawn as computed from "
+    "where most contacts are seen. A precision grasp touches with fingertips only, a power grasp also with the palm "
+    "or inner links. ε is the largest disturbance the contacts resist in any direction; moved is how far the object "
+    "went in the hand during the physics trial; overlap is how deep hand and object cut into each other.",
     "contacts": "How close the hand comes to every point of the object: 1 where it touches, falling off "
     "exponentially with distance. These maps, not the joints, say which grasps of different hands are "
     "alike.",
@@ -78,12 +85,13 @@ def report_html(report: DemoReport, *, max_bytes: int = MAX_BYTES) -> str:
     )
 
 
-def write_report(report: DemoReport, path: str | Path) -> Path:
+def write_report(report: DemoReport, path: str | Path, *, max_bytes: int = MAX_BYTES) -> Path:
     """Write the page, all or nothing: an older file stays whole when writing fails.
 
     Args:
         report: what to show.
         path: file to write; its folder is made when missing.
+        max_bytes: largest size; pictures are compressed harder to meet it.
     Returns:
         The path written.
     Raises:
@@ -95,7 +103,7 @@ def write_report(report: DemoReport, path: str | Path) -> Path:
         raise InputError(
             f"the report cannot be written to '{path}': it is a folder. Give a file name such as report.html."
         )
-    return write_whole(path, report_html(report))
+    return write_whole(path, report_html(report, max_bytes=max_bytes))
 
 
 def _page(report: DemoReport, pictures: PictureEncoder) -> str:
@@ -128,6 +136,13 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
     """(anchor, title, HTML) of every section that has something to show."""
     hands = f"{len(report.hands)} hands" if len(report.hands) != 1 else "One hand"
     builders: list[tuple[str, str, bool, Callable[[], str]]] = [
+        (
+            "feasibility",
+            "Feasibility",
+            report.feasibility is not None,
+            lambda: _feasibility(report, pictures),
+        ),
+        ("sheets", _sheets_title(report), bool(report.sheets), lambda: sheets_section(report.sheets, pictures)),
         ("grasps", "Grasps", bool(report.grasps), lambda: grasps_section(report.grasps, pictures)),
         ("hands", hands, bool(report.hands), lambda: hands_section(report.hands, pictures)),
         ("contacts", "Contact maps", bool(report.contacts), lambda: contacts_section(report.contacts, pictures)),
@@ -146,6 +161,14 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
         sections.append(("notes", "Notes", f'<ul class="notes">{items}</ul>'))
     return sections
+
+
+def _feasibility(report: DemoReport, pictures: PictureEncoder) -> str:
+    return feasibility_section(report.feasibility, report.sheets, pictures) if report.feasibility else ""
+
+
+def _sheets_title(report: DemoReport) -> str:
+    return "Contact sheets" if len(report.sheets) > 1 else "Contact sheet"
 
 
 def _numbers(report: DemoReport) -> str:

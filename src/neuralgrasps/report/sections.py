@@ -73,7 +73,7 @@ def contacts_section(contacts: Sequence[ContactFigure], pictures: PictureEncoder
         for c in (c for c in contacts if c.object == name):
             share = [("within 4 mm", f"{100 * c.area_share:.1f} % of surface")] if c.area_share is not None else []
             words = f"Contact map of {c.hand} on {pretty_name(c.object)}."
-            caption = f"<figcaption>{_hand_title(c.hand)}{_facts(share)}{_note(c.note)}</figcaption>"
+            caption = f"<figcaption>{_hand_title(c.hand)}{facts_html(share)}{_note(c.note)}</figcaption>"
             cards.append(f"<figure>{pictures.button(c.image, words)}{caption}</figure>")
         parts.append(f"<h3>{escape(pretty_name(name))}</h3>{grid(cards)}")
     return "".join(parts)
@@ -96,9 +96,9 @@ def transfer_section(transfers: Sequence[TransferFigure], pictures: PictureEncod
         buttons = "".join(
             pictures.button(n.image, f"{n.hand} on {pretty_name(t.object)}") for n in (t.source, t.target)
         )
-        title = f"{_dot(t.source.hand)}{escape(t.source.hand)} → {_dot(t.target.hand)}{escape(t.target.hand)}"
-        facts = _facts(
-            [("contact similarity", _number(t.target.similarity, ".2f"))] if t.target.similarity is not None else []
+        title = f"{hand_dot(t.source.hand)}{escape(t.source.hand)} → {hand_dot(t.target.hand)}{escape(t.target.hand)}"
+        facts = facts_html(
+            [("contact similarity", number_text(t.target.similarity, ".2f"))] if t.target.similarity is not None else []
         )
         caption = f'<figcaption><div class="top">{title}</div>{facts}{_note(t.text)}</figcaption>'
         cards.append(f'<figure><div class="pair">{buttons}</div>{caption}</figure>')
@@ -122,26 +122,26 @@ def pose_section(poses: Sequence[PoseFigure], pictures: PictureEncoder) -> str:
         buttons = pictures.button(p.observed, f"What the camera saw: {name}")
         buttons += pictures.button(p.overlay, f"Pose found for {name}, drawn over the image")
         facts = [
-            ("rotation", _number(p.rotation_error_deg, ".2f", "°")),
-            ("translation", _number(p.translation_error_mm, ".2f", "mm")),
-            ("ADD-S", _number(p.add_s_mm, ".2f", "mm")),
-            ("time", _number(p.wall_s, ".2f", "s")),
+            ("rotation", number_text(p.rotation_error_deg, ".2f", "°")),
+            ("translation", number_text(p.translation_error_mm, ".2f", "mm")),
+            ("ADD-S", number_text(p.add_s_mm, ".2f", "mm")),
+            ("time", number_text(p.wall_s, ".2f", "s")),
         ]
         facts = [(label, value) for label, value in facts if value != "–"]
-        caption = f'<figcaption><div class="top">{escape(name)}</div>{_facts(facts)}{_note(p.note)}</figcaption>'
+        caption = f'<figcaption><div class="top">{escape(name)}</div>{facts_html(facts)}{_note(p.note)}</figcaption>'
         cards.append(f'<figure><div class="pair">{buttons}</div>{caption}</figure>')
     return grid(cards, wide=True)
 
 
 def _grasp_card(grasp: GraspFigure, pictures: PictureEncoder) -> str:
     facts = [
-        ("ε", _number(grasp.epsilon, ".3f")),
-        ("overlap", _number(grasp.penetration_mm, ".2f", "mm")),
-        ("slip", _number(grasp.displacement_mm, ".1f", "mm")),
+        ("ε", number_text(grasp.epsilon, ".3f")),
+        ("overlap", number_text(grasp.penetration_mm, ".2f", "mm")),
+        ("slip", number_text(grasp.displacement_mm, ".1f", "mm")),
     ]
     facts = [(label, value) for label, value in facts if value != "–"]
     words = ", ".join([f"{grasp.hand} on {pretty_name(grasp.object)}", *(f"{k} {v}" for k, v in facts)])
-    caption = f"{_hand_title(grasp.hand, _verdict(grasp.success))}{_facts(facts)}{_note(grasp.note)}"
+    caption = f"{_hand_title(grasp.hand, _verdict(grasp.success))}{facts_html(facts)}{_note(grasp.note)}"
     return f"<figure>{pictures.button(grasp.image, words)}<figcaption>{caption}</figcaption></figure>"
 
 
@@ -152,7 +152,7 @@ def _neighbour_card(item: Neighbour, css: str, tag: str, name: str, pictures: Pi
     if item.similarity is not None:
         share = 100 * min(max(item.similarity, 0.0), 1.0)
         similarity = (
-            f"{_facts([('similarity', f'{item.similarity:.2f}')])}"
+            f"{facts_html([('similarity', f'{item.similarity:.2f}')])}"
             f'<span class="meter" style="--c:{hand_colour(item.hand)}"><i style="width:{share:.0f}%"></i></span>'
         )
         words += f", contact similarity {item.similarity:.2f}"
@@ -167,14 +167,16 @@ def _verdict(success: bool | None) -> str:
 
 
 def _hand_title(hand: str, after: str = "") -> str:
-    return f'<div class="top">{_dot(hand)}{escape(hand)}{after}</div>'
+    return f'<div class="top">{hand_dot(hand)}{escape(hand)}{after}</div>'
 
 
-def _dot(hand: str) -> str:
+def hand_dot(hand: str) -> str:
+    """A dot in the hand's colour."""
     return f'<span class="dot" style="--c:{hand_colour(hand)}"></span>'
 
 
-def _facts(facts: Iterable[tuple[str, str]]) -> str:
+def facts_html(facts: Iterable[tuple[str, str]]) -> str:
+    """Names and values in a line."""
     parts = "".join(f"<span><i>{escape(label)}</i> {escape(value)}</span>" for label, value in facts)
     return f'<div class="facts">{parts}</div>' if parts else ""
 
@@ -183,7 +185,8 @@ def _note(text: str) -> str:
     return f'<div class="note">{escape(text)}</div>' if text else ""
 
 
-def _number(value: float | None, form: str = "", unit: str = "") -> str:
+def number_text(value: float | None, form: str = "", unit: str = "") -> str:
+    """A number with its unit; a dash for what was not measured."""
     if value is None or not np.isfinite(value):
         return "–"
     text = format(value, form) if form else short_number(value)

@@ -1,0 +1,185 @@
+"""Why a hand found too few grasps of an object: what stood in the way, in plain words with numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.kinematics.forward_kernels import forward_fast
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.seeds import child_rng
+from neuralgrasps.synthesis.candidates import GraspProblem
+from neuralgrasps.synthesis.oppose import tip_points
+from neuralgrasps.synthesis.propose import draw_pairs, draw_preshapes, jaw_aperture
+
+TOO_WIDE, TOO_SMALL, TOO_THIN = "too wide", "too small", "too thin"
+NO_OPPOSITE_SIDES, NO_ROOM = "no opposite sides", "no room"
+FEW_CONTACTS, NO_FORCE_CLOSURE, OVERLAPS, SLIPS, RARE = (
+    "few contacts", "no force closure", "overlaps", "slips", "rare",
+)  # fmt: skip
+KINDS = (
+    TOO_WIDE, TOO_SMALL, TOO_THIN, NO_OPPOSITE_SIDES, NO_ROOM, FEW_CONTACTS, NO_FORCE_CLOSURE, OVERLAPS, SLIPS, RARE,
+)  # fmt: skip
+JAW_CLEARANCE_M = 2.0e-3  # pairs nearer to the aperture than this are not proposed
+SMALL_M = 0.03  # an object with no side longer may be too small for fingertips
+THIN_M = 0.006
+_RAYS, _POSTURES = 8192, 512
+_OBSTACLES = {
+    "collides": NO_ROOM,
+    "few contacts": FEW_CONTACTS,
+    "no force closure": NO_FORCE_CLOSURE,
+    "penetrates": OVERLAPS,
+    "self-collides": NO_ROOM,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shortfall:
+    """Why fewer grasps than wanted were found: one of `KINDS`, and a clause with the numbers.
+
+    `str()` gives "kind: clause", which `shortfall_kind` takes apart again.
+    """
+
+    kind: str
+    clause: str
+
+    def __str__(self) -> str:
+        return f"{self.kind}: {self.clause}"
+
+
+def shortfall_kind(reason: str) -> str:
+    """The kind in the text of a `Shortfall`, or "" in any other text."""
+    kind = reason.partition(":")[0]
+    return kind if kind in KINDS else ""
+
+
+def why_short(
+    problem: GraspProblem,
+    *,
+    outcomes: Mapping[str, int],
+    tried: int,
+    held: int,
+    missing: str,
+    rounds: int,
+    protocol: str,
+) -> Shortfall:
+    """What stood in the way.
+
+    Args:
+        problem: hand, object and friction.
+        outcomes: how many closed hands ended how (`OUTCOMES`).
+        tried: grasps that went into physics; held: of them, those that held.
+        missing: what is still wanted, such as "3 power grasps"; rounds: how many rounds of proposals there could be.
+        protocol: the physics protocol.
+    """
+    closed, valid = sum(outcomes.values()), outcomes["valid"]
+    if valid == 0:
+        return _unfit(problem) or _no_valid(problem, outcomes, closed)
+    if tried == 0:
+        return Shortfall(
+            kind=OVERLAPS,
+            clause=f"none of {valid} candidates passed the fine check of overlap "
+            f"(at most {1e3 * problem.max_penetration_m:g} mm at points 2 mm apart)",
+        )
+    if held < 0.5 * tried:
+        return Shortfall(
+            kind=SLIPS, clause=f"in physics {tried - held} of {tried} slipped under '{protocol}'; {held} held"
+        )
+    return Shortfall(
+        kind=RARE,
+        clause=f"{valid} of {closed} closed hands were valid grasps, {held} of {tried} tried held '{protocol}'; "
+        f"{missing} missing after {rounds} rounds",
+    )
+
+
+def grip_widths(obj: ObjectModel, friction: float) -> np.ndarray:
+    """Distances (M,) between opposite surface points whose friction cones face each other, metres, sorted.
+
+    Rays from surface points; empty where no two sides of the object oppose each other.
+    """
+    across = float(np.linalg.norm(obj.mesh.extents)) + 0.01
+    rng = child_rng(0, obj.content_hash, "grip widths")
+    start, exits, keep = draw_pairs(obj, _RAYS, friction, across, rng)
+    return np.sort(np.linalg.norm(exits - start, axis=1)[keep])
+
+
+def hand_span(hand: Hand, problem: GraspProblem) -> float:
+    """Widest opening of a hand, metres: the aperture of a jaw, else the largest distance between two fingertips.
+
+    A fingertip is the middle of a finger's outermost link; half the link's smallest side is taken off at either end.
+    """
+    if hand.is_jaw:
+        return jaw_aperture(hand)
+    rng = child_rng(0, hand.name, "span")
+    q = np.concatenate([hand.q_open[None], draw_preshapes(hand, _POSTURES, rng)])
+    X_HL = forward_fast(hand.tree, q)
+    packed = problem.packed
+    tips, thick = [], []
+    for finger in (f for f in hand.fingers if f.links):
+        link, middle = tip_points(packed, finger)
+        tips.append(X_HL[:, link, :3, :3] @ middle + X_HL[:, link, :3, 3])
+        own = packed.point_L[packed.link_point_start[link] : packed.link_point_start[link + 1]]
+        thick.append(float(np.ptp(own, axis=0).min()) if len(own) else 0.0)
+    gaps = [
+        np.linalg.norm(tips[a] - tips[b], axis=1).max() - 0.5 * (thick[a] + thick[b])
+        for a, b in combinations(range(len(tips)), 2)
+    ]
+    return float(max(gaps, default=0.0))
+
+
+def _unfit(problem: GraspProblem) -> Shortfall | None:
+    """Sizes that do not go together, where that is plain."""
+    hand, obj = problem.hand, problem.obj
+    widths = grip_widths(obj, problem.friction)
+    thin, cell = float(obj.mesh.extents.min()), obj.sdf.spacing
+    if len(widths) == 0 and thin < 2 * cell:
+        return Shortfall(
+            kind=TOO_THIN, clause=f"{1e3 * thin:.1f} mm, and its grid of distances has cells of {1e3 * cell:.1f} mm"
+        )
+    if len(widths) == 0:
+        return Shortfall(
+            kind=NO_OPPOSITE_SIDES,
+            clause=f"no two surface points face each other within friction {problem.friction:g}; "
+            f"the object measures {size_text(obj)}",
+        )
+    span = hand_span(hand, problem)
+    if widths[0] > span - (JAW_CLEARANCE_M if hand.is_jaw else 0.0):
+        what = "aperture" if hand.is_jaw else "fingers span"
+        return Shortfall(
+            kind=TOO_WIDE, clause=f"narrowest graspable width {1e3 * widths[0]:.0f} mm, {what} {1e3 * span:.0f} mm"
+        )
+    return None
+
+
+def _no_valid(problem: GraspProblem, outcomes: Mapping[str, int], closed: int) -> Shortfall:
+    """No closed hand was a grasp: the commonest obstacle, and the object's size where that may be the cause."""
+    sides = np.sort(problem.obj.mesh.extents)
+    if closed == 0:
+        return Shortfall(
+            kind=NO_ROOM, clause=f"no open hand comes near the object, which measures {size_text(problem.obj)}"
+        )
+    worst = max((name for name in outcomes if name != "valid"), key=lambda name: outcomes[name])
+    clause = f"{outcomes[worst]} of {closed} closed hands {_SAID[worst]}"
+    small, thin = sides[-1] < SMALL_M, sides[0] < THIN_M
+    if worst in ("few contacts", "no force closure", "self-collides") and (small or thin):
+        size = f"largest side {1e3 * sides[-1]:.0f} mm" if small else f"{1e3 * sides[0]:.1f} mm thick"
+        return Shortfall(kind=TOO_SMALL, clause=f"{size}; {clause}")
+    return Shortfall(kind=_OBSTACLES[worst], clause=f"{clause}; the object measures {size_text(problem.obj)}")
+
+
+_SAID = {
+    "collides": "hit the object before closing",
+    "few contacts": "touched it with fewer than two links",
+    "no force closure": "could not resist a push from every side",
+    "penetrates": "cut into it",
+    "self-collides": "ran into themselves",
+}
+
+
+def size_text(obj: ObjectModel) -> str:
+    """ "59 x 160 x 213 mm", shortest side first."""
+    return " x ".join(f"{1e3 * side:.0f}" for side in np.sort(obj.mesh.extents)) + " mm"
