@@ -40,6 +40,10 @@ class DataFormatError(InputError):
     """A data file is corrupt, of another version, or not what its manifest says."""
 
 
+class DeviceError(InputError):
+    """A device that was asked for, a GPU for example, is not there or cannot be used."""
+
+
 class StorageError(NeuralGraspsError, OSError):
     """A file cannot be written: full disk, read-only folder, no permission."""
 

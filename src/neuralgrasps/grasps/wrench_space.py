@@ -7,6 +7,8 @@ computed from wrenches independent of the object's size.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -38,14 +40,14 @@ def fill_grasp_wrenches(points, normals, count, com, friction, edges, torsion, l
                 ax, ay, az = 0.0, 1.0, 0.0
             along = ax * nx + ay * ny + az * nz
             ux, uy, uz = ax - along * nx, ay - along * ny, az - along * nz
-            size = np.sqrt(ux * ux + uy * uy + uz * uz)
+            size = math.sqrt(ux * ux + uy * uy + uz * uz)
             if size > (1e-6 * length if attempt < 2 else 0.5):
                 break
         ux, uy, uz = ux / size, uy / size, uz / size
         vx, vy, vz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
         for k in range(edges):
-            angle = 2.0 * np.pi * k / edges
-            c, s = friction * np.cos(angle), friction * np.sin(angle)
+            angle = 2.0 * math.pi * k / edges
+            c, s = friction * math.cos(angle), friction * math.sin(angle)
             fx, fy, fz = nx + c * ux + s * vx, ny + c * uy + s * vy, nz + c * uz + s * vz
             out[row, 0], out[row, 1], out[row, 2] = fx, fy, fz
             out[row, 3] = (ry * fz - rz * fy) / length

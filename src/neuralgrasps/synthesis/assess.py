@@ -122,23 +122,42 @@ def close_hand(pair, X_OH, q, X_HL, scratch):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def touch(pair, X_OH, X_HL, scratch, found):  # type: ignore[no-untyped-def]
-    """Contacts of a closed hand into `found`; (contacts, wrenches), no wrenches when fewer than two links touch."""
+def touch(pair, X_OH, X_HL, scratch, points, normals, links):  # type: ignore[no-untyped-def]
+    """Contacts of a closed hand into the last three arrays; how many, 0 when fewer than two links touch."""
     count = find_contacts_using(
         pair.values, pair.origin, pair.inv_spacing, pair.packed, X_OH, X_HL, pair.threshold, CONTACTS_PER_LINK,
-        found.points, found.normals, found.links, scratch,
+        points, normals, links, scratch,
     )  # fmt: skip
     touching = 0
     for c in range(count):
-        if c == 0 or found.links[c] != found.links[c - 1]:
+        if c == 0 or links[c] != links[c - 1]:
             touching += 1
-    if touching < 2:
-        return count, 0
-    rows = fill_grasp_wrenches(
-        found.points, found.normals, count, pair.com, pair.friction, CONE_EDGES, pair.torsion, pair.length,
-        found.wrenches,
-    )  # fmt: skip
-    return count, rows
+    return count if touching > 1 else 0
+
+
+@njit(cache=True, error_model="numpy")
+def fill_wrenches(pair, points, normals, count, wrenches):  # type: ignore[no-untyped-def]
+    """The wrenches of the first `count` contacts; how many."""
+    return fill_grasp_wrenches(
+        points, normals, count, pair.com, pair.friction, CONE_EDGES, pair.torsion, pair.length, wrenches
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def grasp_epsilon(pair, points, normals, count, wrenches):  # type: ignore[no-untyped-def]
+    """Ferrari-Canny quality of the first `count` contacts, 0 without force closure."""
+    rows = fill_wrenches(pair, points, normals, count, wrenches)
+    if epsilon_upper_bound(wrenches[:rows]) <= 0.0:
+        return 0.0
+    return epsilon(wrenches[:rows], STARTS)
+
+
+@njit(cache=True, error_model="numpy")
+def grasp_residual(pair, points, normals, count, wrenches, scratch):  # type: ignore[no-untyped-def]
+    """What the best squeeze of 1 N in total leaves unbalanced (`force_qp`); `scratch` is a `ForceScratch`."""
+    rows = fill_wrenches(pair, points, normals, count, wrenches)
+    edge_forces_using(wrenches, rows, WEIGHT, scratch)
+    return net_wrench(wrenches, rows, scratch.f)
 
 
 @njit(cache=True, error_model="numpy")
@@ -184,17 +203,15 @@ def check_overlap(pair, X_OH, q_start, q, X_HL, count, links, busy, close, poses
 @njit(cache=True, error_model="numpy")
 def assess(pair, X_OH, q_start, q, scratch):  # type: ignore[no-untyped-def]
     """(outcome, epsilon, overlap) of a hand that has closed; `scratch.X_HL` holds its link poses."""
-    found = scratch.found
-    count, rows = touch(pair, X_OH, scratch.X_HL, scratch.contact, found)
-    if rows == 0:
+    points, normals, links, wrenches = scratch.found
+    count = touch(pair, X_OH, scratch.X_HL, scratch.contact, points, normals, links)
+    if count == 0:
         return FEW_CONTACTS, 0.0, 0.0
-    if epsilon_upper_bound(found.wrenches[:rows]) <= 0.0:
-        return NO_FORCE_CLOSURE, 0.0, 0.0
-    quality = epsilon(found.wrenches[:rows], STARTS)
+    quality = grasp_epsilon(pair, points, normals, count, wrenches)
     if quality <= 0.0:
         return NO_FORCE_CLOSURE, 0.0, 0.0
     outcome, depth = check_overlap(
-        pair, X_OH, q_start, q, scratch.X_HL, count, found.links, scratch.busy, scratch.close, scratch.poses
+        pair, X_OH, q_start, q, scratch.X_HL, count, links, scratch.busy, scratch.close, scratch.poses
     )
     return outcome, quality if outcome == VALID else 0.0, depth
 
@@ -203,24 +220,22 @@ def assess(pair, X_OH, q_start, q, scratch):  # type: ignore[no-untyped-def]
 def balance(pair, X_OH, q_start, q, scratch, force):  # type: ignore[no-untyped-def]
     """(outcome, residual, overlap) of a hand that has closed, judged by its best squeeze instead of epsilon.
 
-    The residual is what contact forces of 1 N in total leave unbalanced (`force_qp`); over `MAX_RESIDUAL`, the outcome
-    is NO_FORCE_CLOSURE. It is inf with fewer than two touching links. `force` is a `ForceScratch`.
+    Over `MAX_RESIDUAL` the outcome is NO_FORCE_CLOSURE; the residual is inf with fewer than two touching links.
     """
-    found = scratch.found
-    count, rows = touch(pair, X_OH, scratch.X_HL, scratch.contact, found)
-    if rows == 0:
+    points, normals, links, wrenches = scratch.found
+    count = touch(pair, X_OH, scratch.X_HL, scratch.contact, points, normals, links)
+    if count == 0:
         return FEW_CONTACTS, np.inf, 0.0
-    edge_forces_using(found.wrenches, rows, WEIGHT, force)
-    residual = net_wrench(found.wrenches, rows, force.f)
+    residual = grasp_residual(pair, points, normals, count, wrenches, force)
     if residual > MAX_RESIDUAL:
         return NO_FORCE_CLOSURE, residual, 0.0
     outcome, depth = check_overlap(
-        pair, X_OH, q_start, q, scratch.X_HL, count, found.links, scratch.busy, scratch.close, scratch.poses
+        pair, X_OH, q_start, q, scratch.X_HL, count, links, scratch.busy, scratch.close, scratch.poses
     )
     return outcome, residual, depth
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def close_and_assess_all(pair, q_start, X_OH, q, quality, penetration, outcome):  # type: ignore[no-untyped-def]
     """`close_hand` and `assess` for N candidates on the CPU; `X_OH`, `q` and the last three (N,) arrays change."""
     scratch = new_scratch(pair)
@@ -231,7 +246,7 @@ def close_and_assess_all(pair, q_start, X_OH, q, quality, penetration, outcome):
             outcome[i], quality[i], penetration[i] = COLLIDES, 0.0, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def close_and_balance_all(pair, q_start, X_OH, q, residual, penetration, outcome):  # type: ignore[no-untyped-def]
     """`close_hand` and `balance` for N candidates on the CPU; `X_OH`, `q` and the last three (N,) arrays change."""
     scratch = new_scratch(pair)
@@ -241,3 +256,14 @@ def close_and_balance_all(pair, q_start, X_OH, q, residual, penetration, outcome
             outcome[i], residual[i], penetration[i] = balance(pair, X_OH[i], q_start[i], q[i], scratch, force)
         else:
             outcome[i], residual[i], penetration[i] = COLLIDES, np.inf, 0.0
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def epsilon_all(pair, points, normals, contacts, todo):  # type: ignore[no-untyped-def]
+    """`grasp_epsilon` (N,) of the candidates `todo` (M,), 0 for others; points, normals (N, R, 3), contacts (N,)."""
+    quality = np.zeros(contacts.shape[0])
+    wrenches = np.empty((points.shape[1] * (CONE_EDGES + 2), 6))
+    for m in range(todo.shape[0]):
+        i = todo[m]
+        quality[i] = grasp_epsilon(pair, points[i], normals[i], contacts[i], wrenches)
+    return quality

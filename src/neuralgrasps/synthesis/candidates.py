@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from neuralgrasps.errors import DeviceError
 from neuralgrasps.grasps.probe_points import ProbePoints, probe_hand, probe_surface
 from neuralgrasps.grasps.wrench_space import characteristic_length
 from neuralgrasps.hands.hand import Hand
@@ -23,9 +25,13 @@ from neuralgrasps.synthesis.assess import (
     VALID,
     Pair,
     close_and_assess_all,
+    close_and_balance_all,
 )
 from neuralgrasps.synthesis.close import Closing, make_closing
 from neuralgrasps.synthesis.clusters import Clusters, cluster_points
+
+if TYPE_CHECKING:
+    from neuralgrasps.synthesis.device import GpuPair
 
 __all__ = [
     "COLLIDES",
@@ -40,9 +46,11 @@ __all__ = [
     "Candidates",
     "GraspProblem",
     "close_and_assess",
+    "close_and_balance",
     "make_problem",
 ]
 
+Device = Literal["cpu", "cuda"]
 SPACING_M = 0.004  # of the hand's surface points; at 9 mm, round links overlap by 2 mm between the points
 PROBE_SPACING_M = 0.002  # of the points, and along the edges, that look for overlap between those
 
@@ -94,6 +102,8 @@ class GraspProblem:
     torsion: float
     contact_threshold_m: float
     max_penetration_m: float
+    device: Device = "cpu"
+    _gpu: dict[str, GpuPair] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def arrays(self) -> Pair:
@@ -113,6 +123,14 @@ class GraspProblem:
             max_penetration=self.max_penetration_m,
         )
 
+    def on_gpu(self) -> GpuPair:
+        """The pair in the GPU's memory, copied there once."""
+        from neuralgrasps.synthesis.device import GpuPair  # noqa: PLC0415 - only those who ask for a GPU pay for it
+
+        if not self._gpu:
+            self._gpu["pair"] = GpuPair(self.arrays)
+        return self._gpu["pair"]
+
     @property
     def sdf_arrays(self) -> tuple[np.ndarray, np.ndarray, float]:
         return self.obj.sdf.values, self.obj.sdf.origin, self.obj.sdf.inv_spacing
@@ -127,6 +145,7 @@ def make_problem(
     torsion: float,
     contact_threshold_m: float,
     max_penetration_m: float,
+    device: Device = "cpu",
 ) -> GraspProblem:
     """Pack `hand` and `obj`.
 
@@ -135,7 +154,11 @@ def make_problem(
         spacing: of the hand's surface points, metres.
         friction: Coulomb coefficient; torsion: torsional friction, metres.
         contact_threshold_m, max_penetration_m: see `SynthesisConfig`.
+        device: where hands are closed and judged, "cpu" or "cuda".
+    Raises:
+        DeviceError: the device is not known or not there.
     """
+    check_device(device)
     packed, clusters = cluster_points(pack_hand(hand, spacing=spacing))
     return GraspProblem(
         hand=hand,
@@ -150,13 +173,46 @@ def make_problem(
         torsion=torsion,
         contact_threshold_m=contact_threshold_m,
         max_penetration_m=max_penetration_m,
+        device=device,
     )
 
 
+def check_device(device: str) -> None:
+    """Raise `DeviceError` unless `device` is "cpu", or "cuda" and there is a GPU that numba can use."""
+    if device not in get_args(Device):
+        raise DeviceError(f"device is '{device}'; expected 'cpu' or 'cuda'.")
+    if device == "cuda":
+        from neuralgrasps.synthesis.device import require_gpu  # noqa: PLC0415 - only those who ask for it pay
+
+        require_gpu()
+
+
 def close_and_assess(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> Candidates:
-    """Close every hand from its start (N poses and postures) and assess it."""
-    X_OH, q_start = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q)
-    closed, count = q_start.copy(), len(q_start)
-    eps, depth, outcome = np.zeros(count), np.zeros(count), np.zeros(count, np.int8)
-    close_and_assess_all(problem.arrays, q_start, X_OH, closed, eps, depth, outcome)
-    return Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=eps, penetration_m=depth, outcome=outcome)
+    """Close every hand from its start (N poses and postures) and assess it, on `problem.device`."""
+    found, epsilon = _judge(problem, X_OH, q, by_forces=False)
+    return replace(found, epsilon=epsilon)
+
+
+def close_and_balance(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> tuple[Candidates, np.ndarray]:
+    """Close every hand from its start and judge it by its best squeeze instead of epsilon, on `problem.device`.
+
+    Returns:
+        the candidates, VALID where contact forces of 1 N in total leave at most `MAX_RESIDUAL` unbalanced and nothing
+        overlaps, epsilon 0; and what they leave, (N,), inf with fewer than two touching links.
+    """
+    return _judge(problem, X_OH, q, by_forces=True)
+
+
+def _judge(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, *, by_forces: bool) -> tuple[Candidates, np.ndarray]:
+    q_start = np.ascontiguousarray(q)
+    if problem.device == "cuda":
+        judged = problem.on_gpu().judge(X_OH, q_start, by_forces=by_forces)
+        X_OH, closed, score, depth, outcome = (getattr(judged, f.name) for f in fields(judged))
+    else:
+        X_OH, closed, count = np.ascontiguousarray(X_OH).copy(), q_start.copy(), len(q_start)
+        score, depth, outcome = np.zeros(count), np.zeros(count), np.zeros(count, np.int8)
+        run = close_and_balance_all if by_forces else close_and_assess_all
+        run(problem.arrays, q_start, X_OH, closed, score, depth, outcome)
+    zero = np.zeros(len(q_start))
+    found = Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=zero, penetration_m=depth, outcome=outcome)
+    return found, score

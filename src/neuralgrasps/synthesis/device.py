@@ -1,0 +1,223 @@
+"""Closing and judging candidates on an NVIDIA GPU, by the CPU's own steps; loaded only when a GPU is asked for.
+
+Which hands close, what they touch, which contacts balance and what overlaps is found on the GPU. The exact epsilon
+walks a polytope whose size nobody knows beforehand: it stays on the CPU, for candidates that touch with two links.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from neuralgrasps.errors import DeviceError
+from neuralgrasps.grasps.contact import most_points
+from neuralgrasps.hands.packed import PackedHand
+from neuralgrasps.synthesis.assess import (
+    COLLIDES,
+    CONE_EDGES,
+    FEW_CONTACTS,
+    MAX_RESIDUAL,
+    NO_FORCE_CLOSURE,
+    VALID,
+    Pair,
+    epsilon_all,
+    most_contacts,
+)
+from neuralgrasps.synthesis.clusters import most_clusters
+
+if TYPE_CHECKING:
+    from neuralgrasps.synthesis.gpu_kernels import Batch, Room
+
+MOST_THREADS = 65_536  # in flight; more candidates take turns
+MOST_CANDIDATES = 131_072  # in the GPU's memory at a time
+THREADS_PER_BLOCK = 64
+_MEMORY_SHARE = 0.4  # of the free memory for work space, and as much again for candidates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """N candidates as `Candidates` has them; `score` is epsilon, or the residual when judged by forces."""
+
+    X_OH: np.ndarray
+    q: np.ndarray
+    score: np.ndarray
+    penetration_m: np.ndarray
+    outcome: np.ndarray
+
+
+def is_simulated() -> bool:
+    """Whether numba runs kernels in its simulator (NUMBA_ENABLE_CUDASIM=1): slow, for tests without a GPU."""
+    return os.environ.get("NUMBA_ENABLE_CUDASIM", "0") == "1"
+
+
+def require_gpu() -> None:
+    """Return where kernels can run.
+
+    Raises:
+        DeviceError: the package numba-cuda, a driver, a GPU or the CUDA compiler is missing.
+    """
+    if is_simulated():
+        return
+    cause = "the package numba-cuda is not installed (pip install 'neuralgrasps[gpu]')"
+    if find_spec("numba_cuda") is not None:
+        from numba import cuda  # noqa: PLC0415 - only those who ask for a GPU pay for it
+
+        if cuda.is_available():
+            return
+        cause = "numba finds no CUDA driver with a GPU, or no libnvvm and libnvrtc (CUDA toolkit 12 or 13)"
+    raise DeviceError(f"device 'cuda' is not available: {cause}; use device 'cpu'.")
+
+
+def pair_on_gpu(pair: Pair) -> Any:
+    """`pair` in the GPU's memory, without the arrays of the hand that no kernel reads: arguments may fill 4 KiB only.
+
+    The simulator gets all of them, so that it runs what the CPU has compiled already.
+    """
+    if is_simulated():
+        return _load(pair)
+    from neuralgrasps.synthesis.gpu_kernels import HandArrays  # noqa: PLC0415
+
+    hand = HandArrays(*(getattr(pair.packed, name) for name in HandArrays._fields))
+    return _load(pair._replace(packed=hand))  # type: ignore[arg-type]
+
+
+class GpuPair:
+    """One hand and one object in the GPU's memory.
+
+    Raises:
+        DeviceError: see `require_gpu`.
+    """
+
+    def __init__(self, pair: Pair) -> None:
+        require_gpu()
+        self._on_host = pair
+        self._on_gpu = pair_on_gpu(pair)
+
+    def judge(self, X_OH: np.ndarray, q: np.ndarray, *, by_forces: bool) -> Judged:
+        """Close N hands from `X_OH` (N, 4, 4) and `q` (N, J) and judge them by their best squeeze, or by epsilon."""
+        size = min(MOST_CANDIDATES, max(int(_MEMORY_SHARE * _free_bytes() / _batch_bytes(self._on_host.packed)), 1))
+        cuts = range(0, max(len(q), 1), size)
+        parts = [self._judge(X_OH[k : k + size], q[k : k + size], by_forces) for k in cuts]
+        return Judged(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in Judged.__slots__})
+
+    def _judge(self, X_OH: np.ndarray, q: np.ndarray, by_forces: bool) -> Judged:
+        from neuralgrasps.synthesis import gpu_kernels as kernels  # noqa: PLC0415
+
+        batch, run = self._batch(X_OH, q), self._launcher(len(q))
+        outcome, depth = np.full(len(q), COLLIDES, np.int8), np.zeros(len(q))
+        score = np.full(len(q), np.inf if by_forces else 0.0)
+        run(kernels.close_kernel, batch, np.arange(len(q)))
+        todo = np.flatnonzero(_to_host(batch.closed))
+        outcome[todo] = FEW_CONTACTS
+        run(kernels.contact_kernel, batch, todo)
+        contacts = _to_host(batch.contacts)
+        todo = todo[contacts[todo] > 0]
+        outcome[todo] = NO_FORCE_CLOSURE
+        if by_forces:
+            run(kernels.force_kernel, batch, todo)
+            score[todo] = _to_host(batch.residual)[todo]
+            todo = todo[score[todo] <= MAX_RESIDUAL]
+        else:
+            quality = epsilon_all(self._on_host, _to_host(batch.points), _to_host(batch.normals), contacts, todo)
+            todo = todo[quality[todo] > 0.0]
+        run(kernels.overlap_kernel, batch, todo)
+        outcome[todo], depth[todo] = _to_host(batch.outcome)[todo], _to_host(batch.penetration)[todo]
+        if not by_forces:
+            score = np.where(outcome == VALID, quality, 0.0)
+        return Judged(X_OH=_to_host(batch.X_OH), q=_to_host(batch.q), score=score, penetration_m=depth, outcome=outcome)
+
+    def _batch(self, X_OH: np.ndarray, q: np.ndarray) -> Batch:
+        from neuralgrasps.synthesis.gpu_kernels import Batch  # noqa: PLC0415
+
+        n, most = len(q), most_contacts(self._on_host.packed)
+        joints = np.ascontiguousarray(q, np.float64)
+        return Batch(
+            q_start=_load(joints),
+            X_OH=_load(np.ascontiguousarray(X_OH, np.float64)),
+            q=_load(joints),
+            closed=_load(np.zeros(n, np.bool_)),
+            contacts=_load(np.zeros(n, np.int32)),
+            points=_empty((n, most, 3)),
+            normals=_empty((n, most, 3)),
+            links=_empty((n, most), np.int32),
+            residual=_load(np.zeros(n)),
+            penetration=_load(np.zeros(n)),
+            outcome=_load(np.zeros(n, np.int8)),
+        )
+
+    def _launcher(self, count: int) -> Any:
+        """A function that runs a kernel on the candidates `todo` of a batch of `count`, if any."""
+        fits = int(_MEMORY_SHARE * _free_bytes() / _thread_bytes(self._on_host))
+        threads = max(min(count, MOST_THREADS, fits), 1)
+        room = self._room(threads)
+
+        def run(kernel: Any, batch: Batch, todo: np.ndarray) -> None:
+            if len(todo):
+                blocks = -(-min(len(todo), threads) // THREADS_PER_BLOCK)
+                kernel[blocks, THREADS_PER_BLOCK](self._on_gpu, batch, room, _load(todo.astype(np.int32)))
+
+        return run
+
+    def _room(self, threads: int) -> Room:
+        from neuralgrasps.synthesis.gpu_kernels import Room  # noqa: PLC0415
+
+        packed = self._on_host.packed
+        links, joints = packed.link_radius.shape[0], packed.lower.shape[0]
+        points, rows = most_points(packed), most_contacts(packed) * (CONE_EDGES + 2)
+        return Room(
+            X_HL=_empty((threads, links, 4, 4), order="F"),
+            at_centre=_empty((threads, most_clusters(self._on_host.clusters)), order="F"),
+            active=_empty((threads, joints + 1), np.bool_, order="F"),
+            busy=_empty((threads, joints + 1), np.bool_, order="F"),
+            points=_empty((threads, points, 3), order="F"),
+            normals=_empty((threads, points, 3), order="F"),
+            gap=_empty((threads, points), order="F"),
+            wrenches=_empty((threads, rows, 6), order="F"),
+            f=_empty((threads, rows), order="F"),
+            trial_f=_empty((threads, rows), order="F"),
+        )
+
+
+def _thread_bytes(pair: Pair) -> int:
+    """Size of one thread's share of `Room`."""
+    packed = pair.packed
+    rows = most_contacts(packed) * (CONE_EDGES + 2)
+    words = 16 * packed.link_radius.shape[0] + most_clusters(pair.clusters) + 7 * most_points(packed) + 8 * rows
+    return int(8 * words + 2 * packed.lower.shape[0] + 2)
+
+
+def _batch_bytes(packed: PackedHand) -> int:
+    """Size of one candidate's share of `Batch`."""
+    return int(8 * (2 * packed.lower.shape[0] + 18) + 52 * most_contacts(packed) + 6)
+
+
+def _free_bytes() -> int:
+    from numba import cuda  # noqa: PLC0415
+
+    return 2**30 if is_simulated() else int(cuda.current_context().get_memory_info().free)
+
+
+def _empty(shape: tuple[int, ...], dtype: type = np.float64, *, order: str = "C") -> Any:
+    """Memory of the GPU. The simulator's is the CPU's, and as the CPU's kernels know it: always in C order."""
+    from numba import cuda  # noqa: PLC0415
+
+    return np.zeros(shape, dtype) if is_simulated() else cuda.device_array(shape, dtype, order=order)
+
+
+def _load(value: Any) -> Any:
+    """An array, or all arrays in nested named tuples, copied to the GPU's memory."""
+    from numba import cuda  # noqa: PLC0415
+
+    if isinstance(value, np.ndarray):
+        return value.copy() if is_simulated() else cuda.to_device(np.ascontiguousarray(value))
+    if isinstance(value, tuple):
+        return type(value)(*(_load(v) for v in value))
+    return value
+
+
+def _to_host(array: Any) -> np.ndarray:
+    return np.array(array) if is_simulated() else np.asarray(array.copy_to_host())
