@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from neuralgrasps.cli.options import NamePath, OptionalFile
+from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalText
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal
 
@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     import numpy as np
 
     from neuralgrasps.hands.hand import Hand
-
-_CLOSED_SHARE = 0.6  # of the way to the limits: all the way, most hands would run through themselves
 
 
 def list_hands(terminal: Terminal, /) -> Outcome:
@@ -34,7 +32,7 @@ def show_hand(terminal: Terminal, name: NamePath, /, *, picture: OptionalFile = 
 
     Args:
         name: built-in name, or a URDF or MJCF file.
-        picture: PNG file to draw the hand into, open and half closed.
+        picture: PNG file to draw the hand into, as it closes.
     """
     from neuralgrasps.hands.zoo import load_hand
 
@@ -49,34 +47,52 @@ def check_hand(
     path: NamePath,
     /,
     *,
+    link: OptionalText = None,
     picture: OptionalFile = None,
+    report: OptionalFile = None,
     missing_meshes: Literal["error", "skip"] = "error",
 ) -> Outcome:
-    """Read any URDF or MJCF file as a hand: what was mended, what was derived, and, if asked for, a picture.
+    """Read any URDF or MJCF file as a hand: what was mended, what was derived, and, if asked for, pictures.
 
-    A `hand.toml` or `<file>.toml` beside the file overrides whatever was derived.
+    In the file of a whole robot the hand is found. A `hand.toml` or `<file>.toml` beside the file overrides whatever
+    was derived; the report holds one to start from.
 
     Args:
         path: a URDF or MJCF file, or a folder with one.
-        picture: PNG file for the hand, open on the left and half closed on the right.
+        link: the link of a whole robot to take as the hand's base, with all that hangs on it.
+        picture: PNG file for the palm frame and the hand as it closes.
+        report: HTML page with the pictures, everything derived, and a hand.toml to edit.
         missing_meshes: skip leaves out link shapes whose mesh files are missing.
     """
     from neuralgrasps.hands.zoo import load_hand
 
-    if picture is not None:
-        check_writable(picture)
-    hand = load_hand(Path(path) if Path(path).exists() else path, missing_meshes=missing_meshes)
+    for file in (picture, report):
+        if file is not None:
+            check_writable(file)
+    hand = load_hand(Path(path) if Path(path).exists() else path, link=link, missing_meshes=missing_meshes)
     outcome = _described(terminal, hand, picture)
     repairs, derived = lines_of(hand, "repairs"), lines_of(hand, "annotated")
     terminal.notes(repairs, title="\nMended:")
     terminal.notes(derived, title="\nDerived:")
-    if picture is None:
-        terminal.say("\nSee it open and half closed: add --picture hand.png")
+    if report is not None:
+        _write_page(hand, report, repairs, derived, path)
+        terminal.say(f"\nReport: {report}")
+    elif picture is None:
+        terminal.say("\nSee how it closes: add --picture hand.png or --report hand.html")
     if missing_meshes == "skip" and any("left out" in line for line in repairs):
         terminal.say(f"\n'{hand.name}' lacks the shapes left out above; put their meshes there before you use it.")
     else:
         terminal.say(f"\n'{hand.name}' can be used: neuralgrasps synthesise --hand {path} --object mustard_bottle")
-    return Outcome(result={**outcome.result, "repairs": repairs, "derived": derived})
+    files = {"report": str(report)} if report else {}
+    return Outcome(result={**outcome.result, "repairs": repairs, "derived": derived, **files})
+
+
+def _write_page(hand: Hand, report: Path, repairs: list[str], derived: list[str], path: str) -> None:
+    from neuralgrasps.cli.hand_page import write_hand_page
+    from neuralgrasps.report.hand_sequence import hand_sequence
+
+    command = f"neuralgrasps hands check {path} --report {report}"
+    write_hand_page(report, hand, hand_sequence(hand), repairs=repairs, derived=derived, command=command)
 
 
 def _described(terminal: Terminal, hand: Hand, picture: Path | None) -> Outcome:
@@ -89,7 +105,7 @@ def _described(terminal: Terminal, hand: Hand, picture: Path | None) -> Outcome:
     ]
     terminal.say(hand.name)
     terminal.facts([*facts, ("source", " ".join(hand.provenance.split()))])
-    terminal.table(("joint", "unit", "lower", "upper", "open", "closes", "finger"), _joint_rows(hand))
+    terminal.table(("joint", "unit", "lower", "upper", "open", "closes", "effort", "finger"), _joint_rows(hand))
     terminal.notes(followers(hand), title="Joints that follow another:")
     if picture is not None:
         save_hand_picture(hand, picture)
@@ -109,6 +125,12 @@ def hand_record(hand: Hand) -> dict[str, Any]:
             f"lower_{'m' if prismatic[d] else 'rad'}": float(hand.tree.lower[d]),
             f"upper_{'m' if prismatic[d] else 'rad'}": float(hand.tree.upper[d]),
             "closing_sign": int(math.copysign(1, hand.closing_rate[d])) if hand.closing_rate[d] else 0,
+            "closing_rate": float(hand.closing_rate[d]),
+            f"preshape_{'m' if prismatic[d] else 'rad'}": [
+                float(hand.preshape_lower[d]),
+                float(hand.preshape_upper[d]),
+            ],
+            f"effort_{'n' if prismatic[d] else 'nm'}": float(hand.tree.effort[d]),
         }
         for d, name in enumerate(hand.tree.dof_names)
     ]
@@ -165,7 +187,8 @@ def _joint_rows(hand: Hand) -> list[tuple[Any, ...]]:
         rate = hand.closing_rate[d]
         closes = "stays" if rate == 0 else ("up" if rate > 0 else "down")
         numbers = [f"{float(v[d]) * scale:.1f}" for v in (hand.tree.lower, hand.tree.upper, hand.q_open)]
-        rows.append((hand.tree.dof_names[d], unit, *numbers, closes, finger_of.get(d, "several")))
+        effort = f"{hand.tree.effort[d]:.3g} {'N' if prismatic else 'N m'}"
+        rows.append((hand.tree.dof_names[d], unit, *numbers, closes, effort, finger_of.get(d, "several")))
     return rows
 
 
@@ -175,36 +198,10 @@ def lines_of(hand: Hand, key: str) -> list[str]:
 
 
 def save_hand_picture(hand: Hand, path: Path) -> None:
-    """Draw the hand open and half closed, side by side; closed is where its links first meet, or its limits."""
-    import numpy as np
-
+    """Draw the palm frame, the closing sequence and the contact surface side by side."""
     from neuralgrasps.cli.outputs import make_parent
-    from neuralgrasps.report.figures import render_hand, save_picture
+    from neuralgrasps.report.figures import save_picture
+    from neuralgrasps.report.hand_sequence import hand_sequence, sequence_strip
 
     make_parent(path)
-    half = hand.q_open + _CLOSED_SHARE * _closing_room(hand) * (_closed_posture(hand) - hand.q_open)
-    pictures = [render_hand(hand, q, size=(560, 560)) for q in (hand.q_open, half)]
-    save_picture(path, np.concatenate(pictures, axis=1), background="#ffffff")
-
-
-def _closed_posture(hand: Hand) -> np.ndarray:
-    """(J,) every closing joint at its limit."""
-    import numpy as np
-
-    limit = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
-    return np.where(hand.closing_rate == 0, hand.q_open, limit)
-
-
-def _closing_room(hand: Hand) -> float:
-    """Share of the way from open to closed after which links overlap by more than 1 mm."""
-    import numpy as np
-
-    from neuralgrasps.grasps.penetration import self_penetration
-    from neuralgrasps.hands.packed import pack_hand
-    from neuralgrasps.kinematics.forward_kernels import forward_fast
-
-    packed, closed = pack_hand(hand, spacing=0.004), _closed_posture(hand)
-    shares = np.linspace(0.05, 1.0, 20)
-    poses = forward_fast(hand.tree, hand.q_open + shares[:, None] * (closed - hand.q_open))
-    meets = [share for share, X_HL in zip(shares, poses, strict=True) if self_penetration(packed, X_HL) > 1e-3]
-    return float(min(meets, default=1.0))
+    save_picture(path, sequence_strip(hand_sequence(hand)))

@@ -19,8 +19,8 @@ from neuralgrasps.hands.closing import (
     closing_shares,
     movable_hand,
     open_and_closed,
+    share_to_nearest_tips,
     sliding_joints,
-    tips_nearest,
     unit,
 )
 from neuralgrasps.hands.contact import SelfContact, doubts
@@ -46,6 +46,7 @@ PAD_LENGTH = 0.02  # metres of a jaw's finger taken as its pad
 FREE_RANGE, QUARTER_TURN = 4.5, np.pi / 2  # rad: a wider joint has no real limits; it is used this far either way
 SIDEWAYS_MARGIN = 0.2  # rad: how far joints across the closing direction stray in a preshape of equal fingers
 UNCLEAR_SIDE = 0.1
+BEFORE_MEETING = 0.7  # share of the way to where links meet that a preshape takes at most: room for an object
 
 
 def complete_notes(
@@ -112,7 +113,10 @@ def _from_motion(
         else given.jaw_pad_H
     )
     X_HP = given.X_HP if given.X_HP is not None else _palm(model, q_open, q_closed, normal, pad)
-    guessed = _joint_notes(model, closing, q_open, q_closed, normal, thumb, is_jaw)
+    meeting = min(contact.share_before_fingers_meet(q_open, q_closed), share_to_nearest_tips(model, q_open, q_closed))
+    share = 0.0 if is_jaw else min(PRESHAPE_SHARE, BEFORE_MEETING * meeting)
+    q_narrow = q_open + share * (q_closed - q_open)
+    guessed = _joint_notes(model, closing, q_open, q_narrow, normal, thumb)
     notes = replace(given, is_jaw=is_jaw, jaw_pad_H=pad, X_HP=X_HP)
     return _filled(model, notes, guessed, thumb), guessed
 
@@ -188,7 +192,7 @@ def _merge(given: JointNotes, guessed: JointNotes) -> JointNotes:
 
 def _palm_normal(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -> np.ndarray:
     """Axis of the palm link that best points to where the fingertips go when the hand half closes."""
-    q_half = q_open + HALF_CLOSED * (tips_nearest(model, q_open, q_closed) - q_open)
+    q_half = q_open + HALF_CLOSED * share_to_nearest_tips(model, q_open, q_closed) * (q_closed - q_open)
     before, after = model.tips(q_open), model.tips(q_half)
     centre = model.palm_centre(q_half)
     outwards = unit(after.mean(axis=0) - centre)
@@ -305,18 +309,17 @@ def _joint_notes(
     model: MovableHand,
     closing: np.ndarray,
     q_open: np.ndarray,
-    q_closed: np.ndarray,
+    q_narrow: np.ndarray,
     normal: np.ndarray,
     thumb: int | None,
-    is_jaw: bool,
 ) -> dict[str, JointNotes]:
+    """Use of every joint; closing ones start between `q_open` and `q_narrow`."""
     tree = model.tree
     thumb_dofs = set() if thumb is None else set(own_dofs(model, thumb))
     notes = {}
     for j, name in enumerate(tree.dof_names):
         if closing[j] != 0:
-            start = q_open[j]
-            end = start if is_jaw else start + PRESHAPE_SHARE * (q_closed[j] - start)
+            start, end = q_open[j], q_narrow[j]
             group = "thumb_curl" if j in thumb_dofs else "curl"
         else:
             start, end = _sideways_range(model, j, q_open, normal, j in thumb_dofs)

@@ -178,14 +178,14 @@ def open_and_closed(model: MovableHand, closing: np.ndarray) -> tuple[np.ndarray
     return opened, closed
 
 
-def tips_nearest(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -> np.ndarray:
-    """The posture on the way from open to closed with the fingertips nearest to each other; beyond it they cross."""
+def share_to_nearest_tips(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -> float:
+    """The share of the way from open to closed at which the fingertips are nearest to each other; then they cross."""
     if len(model.fingers) < 2:
-        return q_closed
-    path = q_open + np.linspace(0.0, 1.0, 21)[1:, None] * (q_closed - q_open)
-    tips = model.tips(path)
+        return 1.0
+    shares = np.linspace(0.0, 1.0, 21)[1:]
+    tips = model.tips(q_open + shares[:, None] * (q_closed - q_open))
     gaps = np.linalg.norm(tips[:, :, None] - tips[:, None], axis=-1).mean(axis=(1, 2))
-    return path[int(np.argmin(gaps))]
+    return float(shares[int(np.argmin(gaps))])
 
 
 def unit(v: np.ndarray) -> np.ndarray:

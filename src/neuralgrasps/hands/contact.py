@@ -45,13 +45,23 @@ class SelfContact:
 
     def last_free(self, q_open: np.ndarray, q_end: np.ndarray) -> np.ndarray:
         """The last posture on the straight way from open to `q_end`, in `_STEPS` steps, before links collide."""
-        last = q_open
+        return q_open + self._free_share(q_open, q_end, self._pairs) * (q_end - q_open)
+
+    def share_before_fingers_meet(self, q_open: np.ndarray, q_end: np.ndarray) -> float:
+        """The share of that way, 0 to 1, before one finger runs into another."""
+        finger = {link: f for f, links in enumerate(self._model.fingers) for link in links}
+        owners = [tuple(finger.get(self._parts[k].link, -1) for k in pair) for pair in self._pairs]
+        between = [pair for pair, (a, b) in zip(self._pairs, owners, strict=True) if -1 < a != b > -1]
+        return self._free_share(q_open, q_end, between)
+
+    def _free_share(self, q_open: np.ndarray, q_end: np.ndarray, pairs: Sequence[tuple[int, int]]) -> float:
+        free = 0.0
         for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-            q = q_open + share * (q_end - q_open)
-            if self.depth(q) > ALLOWED_DEPTH:
+            X = self._model.poses(q_open + share * (q_end - q_open))
+            if any(self._pair_depth(X, pair) > ALLOWED_DEPTH for pair in pairs):
                 break
-            last = q
-        return last
+            free = float(share)
+        return free
 
     def _pair_depth(self, X_HL: np.ndarray, pair: tuple[int, int]) -> float:
         centres = [X_HL[self._parts[k].link, :3] @ np.append(self._spheres[k][0], 1.0) for k in pair]

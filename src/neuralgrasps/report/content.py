@@ -243,6 +243,15 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Listing:
+    """A text to be copied, line by line as it is; `meaning`: what to do with it."""
+
+    title: str
+    text: str
+    meaning: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Histogram:
     """Distribution of one measured number, optionally apart by hand.
 
@@ -284,5 +293,7 @@ class DemoReport:
     times: tuple[StageTime, ...] = ()
     tables: tuple[Table, ...] = ()
     histograms: tuple[Histogram, ...] = ()
+    listings: tuple[Listing, ...] = ()
     notes: tuple[str, ...] = ()
     section_texts: dict[str, str] = field(default_factory=dict)
+    section_titles: dict[str, str] = field(default_factory=dict)

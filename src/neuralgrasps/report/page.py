@@ -9,7 +9,7 @@ from pathlib import Path
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.files import write_whole
-from neuralgrasps.report.content import DemoReport, KeyFigure
+from neuralgrasps.report.content import DemoReport, KeyFigure, Listing
 from neuralgrasps.report.palette import contact_gradient
 from neuralgrasps.report.sections import (
     PictureEncoder,
@@ -63,6 +63,7 @@ _TEXTS = {
     "up to the object's own symmetries.",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
+    "listings": "",
     "notes": "",
 }
 
@@ -155,12 +156,14 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
     numbers = _numbers(report)
     if numbers:
         sections.append(("numbers", "Measured quality", numbers))
+    if report.listings:
+        sections.append(("listings", "To copy", "".join(_listing(listing) for listing in report.listings)))
     if report.times:
         sections.append(("times", "Times and memory", times_section(report.times)))
     if report.notes:
         items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
         sections.append(("notes", "Notes", f'<ul class="notes">{items}</ul>'))
-    return sections
+    return [(name, report.section_titles.get(name, title), content) for name, title, content in sections]
 
 
 def _feasibility(report: DemoReport, pictures: PictureEncoder) -> str:
@@ -182,6 +185,11 @@ def _numbers(report: DemoReport) -> str:
         parts += [table_html(t) for t in (retrieval_table(report.model), reconstruction_table(report.model)) if t.rows]
     parts += [table_html(table) for table in report.tables]
     return "".join(parts)
+
+
+def _listing(listing: Listing) -> str:
+    meaning = f"<p>{escape(listing.meaning)}</p>" if listing.meaning else ""
+    return f'<h3>{escape(listing.title)}</h3>{meaning}<pre class="listing">{escape(listing.text)}</pre>'
 
 
 def _section(report: DemoReport, name: str, title: str, content: str) -> str:
