@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from itertools import pairwise
 from multiprocessing.connection import wait as wait_for
 from typing import Any
 
@@ -71,6 +72,12 @@ def thread_map(function: Callable[[Any], Any], items: Sequence[Any], *, threads:
         return [function(item) for item in items]
     with ThreadPoolExecutor(min(threads, len(items))) as pool:
         return list(pool.map(function, items))
+
+
+def blocks(count: int, parts: int) -> list[slice]:
+    """Slices that cut `count` items into `parts` runs of nearly equal length."""
+    edges = [count * i // parts for i in range(parts + 1)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def run_tasks(

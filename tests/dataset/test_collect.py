@@ -22,7 +22,7 @@ from neuralgrasps.sim import protocols
 from neuralgrasps.sim.protocols import Actuation, Protocol
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
-CONFIG = SynthesisConfig(count=2, batch=200, max_rounds=2, niches=6, generations=1, children=2)
+CONFIG = SynthesisConfig(count=2, batch=200, draws=1, max_rounds=2, spare=1.0, generations=1, children=2)
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from neuralgrasps.grasps.contact import find_contacts
+from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
-from neuralgrasps.synthesis.candidates import VALID, close_and_assess
+from neuralgrasps.synthesis.candidates import CONE_EDGES, VALID, close_and_assess
 from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.finish import clear_pregrasps, finish_grasps
 from neuralgrasps.synthesis.propose import propose_dexterous, propose_jaw
@@ -71,8 +72,12 @@ def test_commanded_torques_reach_their_share_of_the_limit_and_no_more(problem_of
         X_HL = forward_numpy(hand.tree, closed.q[i])
         points, normals, links = np.empty((99, 3)), np.empty((99, 3)), np.empty(99, np.int32)
         n = find_contacts(*problem.sdf_arrays, problem.packed, closed.X_OH[i], X_HL, 2.5e-3, 3, points, normals, links)
+        balance = contact_forces(
+            points[:n], normals[:n], problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
+        )
+        idle = np.zeros(hand.num_dofs, bool)
         target = squeeze_joints(
-            problem, closed.q[i], closed.X_OH[i], X_HL, (points[:n], normals[:n], links[:n]), stiffness=stiffness
+            problem, closed.q[i], closed.X_OH[i], X_HL, (points[:n], links[:n]), balance, stiffness=stiffness, idle=idle
         )
         torque = (target - closed.q[i]) * stiffness  # what the servo is asked for at the grasp, all included
         share = np.abs(torque / hand.tree.effort)
@@ -84,10 +89,12 @@ def test_commanded_torques_reach_their_share_of_the_limit_and_no_more(problem_of
 def test_a_jaw_squeezes_past_contact(problem_of, jaw_on_axes):
     problem = problem_of("panda", "box")
     q = np.array([0.02])
-    target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), (None, None, None), stiffness=np.ones(1))
+    nothing = (None, None), None
+    idle = np.zeros(1, bool)
+    target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), *nothing, stiffness=np.ones(1), idle=idle)
     assert target == pytest.approx(q - JAW_SQUEEZE_M)
     stiff = np.array([1e5])  # 10 mm of this servo would be 1000 N
-    target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), (None, None, None), stiffness=stiff)
+    target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), *nothing, stiffness=stiff, idle=idle)
     assert (q - target) * stiff == pytest.approx(EFFORT_SHARE * problem.hand.tree.effort)
 
 
@@ -122,7 +129,7 @@ def test_a_finger_with_something_behind_it_stays(problem_of):
     problem = problem_of("allegro", "cube")
     q = np.full((2, problem.hand.num_dofs), 0.5)
     q = np.clip(q, problem.hand.tree.lower, problem.hand.tree.upper)
-    np.testing.assert_array_equal(clear_pregrasps(problem, np.eye(4)[None].repeat(2, 0), q), q)
+    np.testing.assert_array_equal(clear_pregrasps(problem, np.eye(4)[None].repeat(2, 0), q, np.zeros(q.shape, bool)), q)
 
 
 @pytest.mark.parametrize("name", ["panda", "human"])

@@ -84,7 +84,7 @@ def _contacts() -> None:
 
 def _closing(obj: ObjectModel) -> None:
     for name in ("barrett", "fetch"):
-        synthesise(load_hand(name), obj, config=SynthesisConfig(count=1, batch=128, max_rounds=1, niches=4))
+        synthesise(load_hand(name), obj, config=SynthesisConfig(count=1, batch=128, draws=1, max_rounds=1, spare=0.1))
 
 
 def _pictures() -> None:

@@ -35,7 +35,7 @@ def contact_kinds(hand: Hand, contact_links: np.ndarray) -> ContactKinds:
         hand: names the fingers.
         contact_links: (N, C) link of each contact, -1 for none.
     """
-    owner, tip = _finger_of_link(hand), _is_fingertip(hand)
+    owner, tip = finger_of_link(hand), _is_fingertip(hand)
     touched = contact_links >= 0
     links = np.where(touched, contact_links, 0)
     finger = np.where(touched, owner[links], -2)
@@ -48,7 +48,7 @@ def contact_kinds(hand: Hand, contact_links: np.ndarray) -> ContactKinds:
     )
 
 
-def _finger_of_link(hand: Hand) -> np.ndarray:
+def finger_of_link(hand: Hand) -> np.ndarray:
     """(L,) index of the finger that a link belongs to, -1 for the palm."""
     owner = np.full(hand.tree.num_links, -1)
     for index, finger in enumerate(hand.fingers):

@@ -1,77 +1,89 @@
-"""From closed hands to a `GraspSet`: contacts, exact quality, pre-grasp and squeeze."""
+"""From closed hands to a `GraspSet`: settled, with contacts, exact quality, labels, pre-grasp and squeeze."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
 
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.epsilon import STARTS, epsilon
+from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
-from neuralgrasps.grasps.penetration import mesh_depths, penetration_depths
+from neuralgrasps.grasps.kind import contact_kinds
+from neuralgrasps.grasps.penetration import mesh_depths
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
 from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import CONE_EDGES, CONTACTS_PER_LINK, Candidates, GraspProblem
 from neuralgrasps.synthesis.clusters import hand_clearance
+from neuralgrasps.synthesis.settle import settle
 from neuralgrasps.synthesis.squeeze import joint_scale, pregrasp_joints, squeeze_joints
 
 _OPENING_STEPS = 4
 
 
 def finish_grasps(
-    problem: GraspProblem, closed: Candidates, *, protocol: str, seed: int, config: Mapping[str, str]
+    problem: GraspProblem,
+    closed: Candidates,
+    *,
+    protocol: str,
+    seed: int,
+    config: Mapping[str, str],
+    threads: int = 1,
 ) -> GraspSet:
-    """Candidates with contacts, squeeze and pre-grasp, in order.
+    """Candidates settled on the object, with contacts, labels, squeeze and pre-grasp, in order.
 
-    Those that overlap too deeply, or are not in force closure by the exact epsilon of their contacts, are dropped.
+    Those that still overlap too deeply, or whose contacts are not in force closure by the exact epsilon, are dropped.
 
     Args:
         problem: the pair; closed: its candidates.
         protocol: the physics protocol whose servos the squeeze is meant for.
-        seed, config: provenance.
+        seed, config: provenance. threads: of the settling; the result does not depend on it.
     """
     hand, obj = problem.hand, problem.obj
-    depth = penetration_depths(problem.packed, obj.sdf, problem.probe, X_OH=closed.X_OH, q=closed.q).deepest
-    depth = np.maximum(depth, mesh_depths(problem.hand_probe, obj.mesh, obj.sdf, X_OH=closed.X_OH, q=closed.q))
-    shallow = depth <= problem.max_penetration_m
-    closed, depth = closed.take(shallow), depth[shallow]
+    closed, idle = _without_overlap(problem, *settle(problem, closed, threads=threads))
     if len(closed) == 0:
         return empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
-    count, room = len(closed), hand.tree.num_links * CONTACTS_PER_LINK
-    points, normals = np.full((count, room, 3), np.nan), np.full((count, room, 3), np.nan)
-    links = np.full((count, room), -1, np.int32)
-    squeeze, quality = closed.q.copy(), np.zeros(count)
     servos = get_protocol(protocol)
     stiffness = joint_scale(hand, servos.revolute.kp, servos.prismatic.kp)
     X_HL = forward_fast(hand.tree, closed.q)
-    for i in range(count):
-        found = find_contacts(
-            *problem.sdf_arrays, problem.packed, closed.X_OH[i], X_HL[i], problem.contact_threshold_m,
-            CONTACTS_PER_LINK, points[i], normals[i], links[i],
-        )  # fmt: skip
-        points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
+    points, normals, links = contacts_of(problem, closed.X_OH, X_HL)
+    squeeze, quality, residual = closed.q.copy(), np.zeros(len(closed)), np.full(len(closed), np.nan)
+    for i in range(len(closed)):
+        found = int((links[i] >= 0).sum())
         if found == 0:
             continue
-        contacts = points[i, :found], normals[i, :found], links[i, :found]
-        quality[i] = _quality(problem, contacts)
-        squeeze[i] = squeeze_joints(problem, closed.q[i], closed.X_OH[i], X_HL[i], contacts, stiffness=stiffness)
-    used = int((links >= 0).sum(axis=1).max())
+        quality[i] = _quality(problem, points[i, :found], normals[i, :found])
+        balance = contact_forces(
+            points[i, :found], normals[i, :found], obj.com_O, problem.friction, CONE_EDGES, problem.torsion,
+            problem.length,
+        )  # fmt: skip
+        residual[i] = balance.residual
+        squeeze[i] = squeeze_joints(
+            problem, closed.q[i], closed.X_OH[i], X_HL[i], (points[i, :found], links[i, :found]), balance,
+            stiffness=stiffness, idle=idle[i],
+        )  # fmt: skip
+    kinds = contact_kinds(hand, links)
     grasps = GraspSet(
         hand=hand.name,
         object=obj.name,
         X_OH=closed.X_OH,
         q=closed.q,
-        q_pregrasp=clear_pregrasps(problem, closed.X_OH, closed.q),
+        q_pregrasp=clear_pregrasps(problem, closed.X_OH, closed.q, idle),
         q_squeeze=squeeze,
-        contact_points_O=points[:, :used],
-        contact_normals_O=normals[:, :used],
-        contact_links=links[:, :used],
+        contact_points_O=points,
+        contact_normals_O=normals,
+        contact_links=links,
         epsilon=quality,
-        penetration_m=depth,
+        penetration_m=closed.penetration_m,
+        force_residual=residual,
+        palm_contact=kinds.palm_contact,
+        finger_count=kinds.finger_count,
+        precision=kinds.precision,
         protocol=protocol,
         seed=seed,
         config=config,
@@ -79,20 +91,47 @@ def finish_grasps(
     return grasps[quality > 0.0]
 
 
-def _quality(problem: GraspProblem, contacts: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
-    points, normals, _ = contacts
+def _without_overlap(problem: GraspProblem, closed: Candidates, idle: np.ndarray) -> tuple[Candidates, np.ndarray]:
+    """Those that overlap by no more than allowed, by the grid and then by the mesh itself; and their idle joints."""
+    shallow = closed.penetration_m <= problem.max_penetration_m
+    closed, idle = closed.take(shallow), idle[shallow]
+    if len(closed) == 0:
+        return closed, idle
+    by_mesh = mesh_depths(problem.hand_probe, problem.obj.mesh, problem.obj.sdf, X_OH=closed.X_OH, q=closed.q)
+    closed = replace(closed, penetration_m=np.maximum(closed.penetration_m, by_mesh))
+    shallow = closed.penetration_m <= problem.max_penetration_m
+    return closed.take(shallow), idle[shallow]
+
+
+def contacts_of(problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contact points (N, C, 3), outward normals (N, C, 3) and links (N, C) of N grasps, padded with nan, nan and -1."""
+    count, room = len(X_OH), problem.hand.tree.num_links * CONTACTS_PER_LINK
+    points, normals = np.full((count, room, 3), np.nan), np.full((count, room, 3), np.nan)
+    links = np.full((count, room), -1, np.int32)
+    for i in range(count):
+        found = find_contacts(
+            *problem.sdf_arrays, problem.packed, X_OH[i], X_HL[i], problem.contact_threshold_m, CONTACTS_PER_LINK,
+            points[i], normals[i], links[i],
+        )  # fmt: skip
+        points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
+    used = int((links >= 0).sum(axis=1).max(initial=0))
+    return points[:, :used], normals[:, :used], links[:, :used]
+
+
+def _quality(problem: GraspProblem, points: np.ndarray, normals: np.ndarray) -> float:
     wrenches = grasp_wrenches(
         points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
     )
     return epsilon(wrenches, STARTS)
 
 
-def clear_pregrasps(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+def clear_pregrasps(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, idle: np.ndarray) -> np.ndarray:
     """(N, J) postures more open than `q`, as far as nothing on the way overlaps the object deeper than the grasp may.
 
     A finger that opens may meet another side of the object, a handle for example; then it opens less, or not at all.
+    `idle` (N, J) joints stay where they are.
     """
-    opened = pregrasp_joints(problem.hand, q)
+    opened = np.where(idle, q, pregrasp_joints(problem.hand, q))
     out = q.copy()
     _open_while_clear(
         *problem.sdf_arrays, problem.packed, problem.clusters, np.ascontiguousarray(X_OH), np.ascontiguousarray(q),

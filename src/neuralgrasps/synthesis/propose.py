@@ -15,6 +15,7 @@ from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.parallel import blocks, thread_map
 from neuralgrasps.synthesis.candidates import GraspProblem
 from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.oppose import opposition, perpendicular, pose_on_pair, thumb_and_fingers
@@ -143,7 +144,7 @@ def draw_preshapes(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarr
     return hand.preshape_lower + u * (hand.preshape_upper - hand.preshape_lower)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _advance_to_contact(  # type: ignore[no-untyped-def]
     values, origin, inv_spacing, packed, clusters, X_OH, X_HL, approach, contact_m, max_travel, touching, travel
 ):
@@ -175,18 +176,29 @@ def _reach(hand: Hand, obj: ObjectModel) -> float:
 
 
 def _advance(
-    problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, approach: np.ndarray, reach: float, *, touching: bool
+    problem: GraspProblem,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    approach: np.ndarray,
+    reach: float,
+    *,
+    touching: bool,
+    threads: int,
 ) -> np.ndarray:
     """Travel (N,) of hands that start at `X_OH`; see `_advance_to_contact`."""
-    travel = np.empty(len(q))
-    _advance_to_contact(
-        *problem.sdf_arrays, problem.packed, problem.clusters, X_OH, forward_fast(problem.hand.tree, q),
-        np.ascontiguousarray(approach), START_GAP_M, reach, touching, travel,
-    )  # fmt: skip
+    travel, X_HL, approach = np.empty(len(q)), forward_fast(problem.hand.tree, q), np.ascontiguousarray(approach)
+
+    def run(rows: slice) -> None:
+        _advance_to_contact(
+            *problem.sdf_arrays, problem.packed, problem.clusters, X_OH[rows], X_HL[rows], approach[rows],
+            START_GAP_M, reach, touching, travel[rows],
+        )  # fmt: skip
+
+    thread_map(run, blocks(len(q), threads), threads=threads)
     return travel
 
 
-def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Generator) -> Proposals:
+def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Generator, threads: int = 1) -> Proposals:
     """Approach a random surface point along its normal (sd 0.35), random roll and preshape, up to first contact.
 
     70 % of the hands then back off by |N(0, 12 mm)|; the rest stay with the palm or a finger touching.
@@ -200,13 +212,15 @@ def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Genera
     q = draw_preshapes(hand, count, rng)
     reach = _reach(hand, obj)
     X_OH = poses_from_palm(hand.X_HP, obj.points_O[index] - reach * approach, perpendicular(approach, roll), approach)
-    travel = _advance(problem, X_OH, q, approach, reach + 0.05, touching=True)
+    travel = _advance(problem, X_OH, q, approach, reach + 0.05, touching=True, threads=threads)
     hit = travel > 0.0
     X_OH[:, :3, 3] += (travel - back)[:, None] * approach
     return Proposals(X_OH=X_OH[hit], q=q[hit])
 
 
-def propose_opposed(problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator) -> Proposals:
+def propose_opposed(
+    problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator, threads: int = 1
+) -> Proposals:
     """Thumb and fingers on the two sides of an antipodal pair, reached along the palm's normal up to first contact.
 
     Pairs that fail the friction cone, and those that do not fit between the tips of their preshape, are dropped;
@@ -230,17 +244,19 @@ def propose_opposed(problem: GraspProblem, *, count: int, friction: float, rng: 
     approach = X_OH[:, :3, :3] @ hand.X_HP[:3, 2]
     reach = _reach(hand, problem.obj)
     X_OH[:, :3, 3] -= reach * approach
-    travel = _advance(problem, X_OH, q, approach, reach, touching=False)
+    travel = _advance(problem, X_OH, q, approach, reach, touching=False, threads=threads)
     hit = travel > 0.0
     X_OH[:, :3, 3] += (travel - back)[:, None] * approach
     return Proposals(X_OH=X_OH[hit], q=q[hit])
 
 
-def propose_dexterous(problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator) -> Proposals:
+def propose_dexterous(
+    problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator, threads: int = 1
+) -> Proposals:
     """`propose_opposed` for most of `count` where the hand has a thumb, `propose_approach` for the rest."""
     opposed = round(OPPOSED_SHARE * count) if thumb_and_fingers(problem.hand) else 0
-    plain = propose_approach(problem, count=count - opposed, rng=rng)
+    plain = propose_approach(problem, count=count - opposed, rng=rng, threads=threads)
     if opposed == 0:
         return plain
-    paired = propose_opposed(problem, count=opposed, friction=friction, rng=rng)
+    paired = propose_opposed(problem, count=opposed, friction=friction, rng=rng, threads=threads)
     return Proposals(X_OH=np.concatenate([plain.X_OH, paired.X_OH]), q=np.concatenate([plain.q, paired.q]))

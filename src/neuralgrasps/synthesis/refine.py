@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.parallel import thread_map
+from neuralgrasps.parallel import blocks, thread_map
 from neuralgrasps.synthesis.candidates import Candidates, GraspProblem, close_and_assess
 
 
@@ -37,9 +35,8 @@ def perturb(
 
 def assess_all(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, *, threads: int = 1) -> Candidates:
     """`close_and_assess` in as many blocks as threads; the result is the same for any number."""
-    edges = np.linspace(0, len(q), threads + 1).astype(int)
-    blocks = [slice(a, b) for a, b in pairwise(edges)]
-    return Candidates.join(thread_map(lambda b: close_and_assess(problem, X_OH[b], q[b]), blocks, threads=threads))
+    rows = blocks(len(q), threads)
+    return Candidates.join(thread_map(lambda b: close_and_assess(problem, X_OH[b], q[b]), rows, threads=threads))
 
 
 def refine(

@@ -30,7 +30,32 @@ def grasp_features(hand: Hand, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
     return np.concatenate([X_OP[:, :3, 3], turn * METRES_PER_RADIAN, joints], axis=1)
 
 
-def diverse_order(hand: Hand, X_OH: np.ndarray, q: np.ndarray, *, start: int, count: int | None = None) -> np.ndarray:
-    """Indices (count,) of grasps in farthest-point order, beginning with grasp `start`."""
+def diverse_order(
+    hand: Hand,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    start: int,
+    count: int | None = None,
+    quality: np.ndarray | None = None,
+) -> np.ndarray:
+    """Indices (count,) of grasps in farthest-point order, beginning with grasp `start`.
+
+    With `quality` (N,), > 0, distances count in proportion to its square root: of two grasps that are as new, the
+    better one comes first, and a poor one only where nothing else is near.
+    """
     features = grasp_features(hand, X_OH, q)
-    return farthest_points(features, len(features) if count is None else min(count, len(features)), start=start)
+    wanted = len(features) if count is None else min(count, len(features))
+    if quality is None:
+        return farthest_points(features, wanted, start=start)
+    return _farthest_weighted(features, np.sqrt(np.maximum(quality, 0.0)), wanted, start)
+
+
+def _farthest_weighted(features: np.ndarray, weight: np.ndarray, count: int, start: int) -> np.ndarray:
+    chosen = np.empty(count, np.int64)
+    nearest, taken, last = np.full(len(features), np.inf), np.zeros(len(features), bool), start
+    for i in range(count):
+        chosen[i], taken[last] = last, True
+        nearest = np.minimum(nearest, np.linalg.norm(features - features[last], axis=1))
+        last = int(np.where(taken, -1.0, nearest * weight).argmax())
+    return chosen

@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from neuralgrasps.grasps.force_qp import contact_forces
+from neuralgrasps.grasps.force_qp import ContactForces
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.jacobian import point_jacobian
 from neuralgrasps.kinematics.tree import PRISMATIC
-from neuralgrasps.synthesis.candidates import CONE_EDGES, GraspProblem
+from neuralgrasps.synthesis.candidates import GraspProblem
 
 EFFORT_SHARE = 0.9  # of its torque limit that no joint's squeeze exceeds
 CLOSING_SHARE = 0.5  # of its torque limit that every closing joint of a dexterous hand adds
 JAW_SQUEEZE_M = 0.010  # a jaw's target lies this far past contact
+JAW_SQUEEZE_RAD = 0.15  # the same for a jaw on a turning linkage: about as much force, 0.1 m from the joint
 PREGRASP_RAD = 0.12  # closing joints start this far back
 PREGRASP_JAW_M = 0.010
 
@@ -69,31 +70,31 @@ def squeeze_joints(
     q: np.ndarray,
     X_OH: np.ndarray,
     X_HL: np.ndarray,
-    contacts: tuple[np.ndarray, np.ndarray, np.ndarray],
+    contacts: tuple[np.ndarray, np.ndarray],
+    balance: ContactForces,
     *,
     stiffness: np.ndarray,
+    idle: np.ndarray,
 ) -> np.ndarray:
     """Position targets (J,) whose servo torques press on the object without pushing it away.
 
-    Contact forces of least net wrench come from a quadratic programme over the friction cones; their joint torques are
-    scaled until one reaches `EFFORT_SHARE` of its limit, closing joints add `CLOSING_SHARE` of theirs, and every torque
-    is clipped to `EFFORT_SHARE`; target = q + torque / stiffness. A jaw's target lies `JAW_SQUEEZE_M` past contact,
-    with the same bound. No servo is ever asked for more than `EFFORT_SHARE` of its limit.
+    The contact forces are those of least net wrench (`force_qp`); their joint torques are scaled until one reaches
+    `EFFORT_SHARE` of its limit, closing joints of fingers that touch add `CLOSING_SHARE` of theirs, and every torque is
+    clipped to `EFFORT_SHARE`; target = q + torque / stiffness. A jaw's target lies `JAW_SQUEEZE_M` past contact, with
+    the same bound. No servo is ever asked for more than `EFFORT_SHARE` of its limit; idle fingers stay where they are.
 
     Args:
         problem: the pair.
         q: (J,) closed posture; X_OH (4, 4); X_HL (L, 4, 4) link poses at q.
-        contacts: points (C, 3) and outward normals (C, 3) in O, links (C,), without padding; C >= 1.
-        stiffness: (J,) servo gain, N m/rad or N/m.
+        contacts: points (C, 3) in O and links (C,), without padding; C >= 1. balance: the forces there.
+        stiffness: (J,) servo gain, N m/rad or N/m. idle: (J,) joints of fingers that touch nothing.
     """
-    hand, closing = problem.hand, np.sign(problem.hand.closing_rate)
+    hand, closing = problem.hand, np.sign(problem.hand.closing_rate) * ~idle
     most = EFFORT_SHARE * hand.tree.effort
     if hand.is_jaw:
-        return q + np.clip(closing * JAW_SQUEEZE_M * stiffness, -most, most) / stiffness
-    points, normals, links = contacts
-    balance = contact_forces(
-        points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
-    )
+        past = joint_scale(hand, JAW_SQUEEZE_RAD, JAW_SQUEEZE_M)
+        return q + np.clip(closing * past * stiffness, -most, most) / stiffness
+    points, links = contacts
     torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links)
     torque *= EFFORT_SHARE / max(np.abs(torque / hand.tree.effort).max(), 1e-9)
     torque += closing * CLOSING_SHARE * hand.tree.effort
