@@ -35,6 +35,7 @@ from neuralgrasps.synthesis.clusters import Clusters, hand_clearance_using
 CONE_EDGES = 8
 CONTACTS_PER_LINK = 3
 STARTS = 8  # of the walks for epsilon: enough to rank candidates
+MAX_ADVANCES = 60  # steps of an approach
 MAX_RESIDUAL = 1.0e-3  # N of net wrench per N of squeeze: what balanced contact forces may leave
 # Outcome of one candidate, from first to last obstacle.
 COLLIDES, FEW_CONTACTS, NO_FORCE_CLOSURE, PENETRATES, SELF_COLLIDES, VALID = range(6)
@@ -107,6 +108,31 @@ def new_scratch(pair):  # type: ignore[no-untyped-def]
         ),
         new_poses(),
     )
+
+
+@njit(cache=True, error_model="numpy")
+def advance_hand(pair, X_OH, X_HL, approach, contact_m, farthest, touching, moved, scratch):  # type: ignore[no-untyped-def]
+    """Travel, metres, of an open hand along `approach` (3,) until it is nearer than `contact_m` to the object.
+
+    A hand that comes to `farthest` free of contact stops there, or, where it was to touch, gets -1, as do hands that
+    are in contact from the start. `moved` (3, 4) and `scratch`, a `CloseScratch`, are overwritten.
+    """
+    travel = distance = 0.0
+    for r in range(3):
+        for c in range(4):
+            moved[r, c] = X_OH[r, c]
+    for _ in range(MAX_ADVANCES):
+        distance = hand_clearance_using(
+            pair.values, pair.origin, pair.inv_spacing, pair.packed, pair.clusters, moved, X_HL,
+            scratch.pose, scratch.at_centre,
+        )  # fmt: skip
+        if distance < contact_m or travel >= farthest:
+            break
+        travel = min(travel + distance - 0.5 * contact_m, farthest)
+        for k in range(3):
+            moved[k, 3] = X_OH[k, 3] + travel * approach[k]
+    touches = distance < contact_m and travel > 0.0
+    return travel if touches or (not touching and travel >= farthest) else -1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -267,3 +293,13 @@ def epsilon_all(pair, points, normals, contacts, todo):  # type: ignore[no-untyp
         i = todo[m]
         quality[i] = grasp_epsilon(pair, points[i], normals[i], contacts[i], wrenches)
     return quality
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def advance_all(pair, X_OH, q, approach, contact_m, farthest, touching, travel):  # type: ignore[no-untyped-def]
+    """`advance_hand` for N open hands on the CPU: X_OH (N, 4, 4), q (N, J), approach (N, 3) into travel (N,)."""
+    X_HL, moved = np.empty((pair.packed.link_radius.shape[0], 4, 4)), np.empty((3, 4))
+    scratch = new_close_scratch(pair.packed, pair.clusters)
+    for i in range(q.shape[0]):
+        pose_links(pair.packed, q[i], X_HL)
+        travel[i] = advance_hand(pair, X_OH[i], X_HL, approach[i], contact_m, farthest, touching, moved, scratch)

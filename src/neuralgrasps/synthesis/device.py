@@ -30,7 +30,7 @@ from neuralgrasps.synthesis.assess import (
 from neuralgrasps.synthesis.clusters import most_clusters
 
 if TYPE_CHECKING:
-    from neuralgrasps.synthesis.gpu_kernels import Batch, Room
+    from neuralgrasps.synthesis.gpu_kernels import Approach, Batch, Room
 
 MOST_THREADS = 65_536  # in flight; more candidates take turns
 MOST_CANDIDATES = 131_072  # in the GPU's memory at a time
@@ -72,17 +72,12 @@ def require_gpu() -> None:
     raise DeviceError(f"device 'cuda' is not available: {cause}; use device 'cpu'.")
 
 
-def pair_on_gpu(pair: Pair) -> Any:
-    """`pair` in the GPU's memory, without the arrays of the hand that no kernel reads: arguments may fill 4 KiB only.
-
-    The simulator gets all of them, so that it runs what the CPU has compiled already.
-    """
-    if is_simulated():
-        return _load(pair)
+def slim(pair: Pair) -> Pair:
+    """`pair` without the arrays of the hand that no kernel reads: a kernel's arguments may fill 4 KiB only."""
     from neuralgrasps.synthesis.gpu_kernels import HandArrays  # noqa: PLC0415
 
     hand = HandArrays(*(getattr(pair.packed, name) for name in HandArrays._fields))
-    return _load(pair._replace(packed=hand))  # type: ignore[arg-type]
+    return pair._replace(packed=hand)  # type: ignore[arg-type]
 
 
 class GpuPair:
@@ -95,7 +90,8 @@ class GpuPair:
     def __init__(self, pair: Pair) -> None:
         require_gpu()
         self._on_host = pair
-        self._on_gpu = pair_on_gpu(pair)
+        # the simulator takes what the CPU has compiled its steps for already
+        self._on_gpu = _load(pair if is_simulated() else slim(pair))
 
     def judge(self, X_OH: np.ndarray, q: np.ndarray, *, by_forces: bool) -> Judged:
         """Close N hands from `X_OH` (N, 4, 4) and `q` (N, J) and judge them by their best squeeze, or by epsilon."""
@@ -103,6 +99,28 @@ class GpuPair:
         cuts = range(0, max(len(q), 1), size)
         parts = [self._judge(X_OH[k : k + size], q[k : k + size], by_forces) for k in cuts]
         return Judged(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in Judged.__slots__})
+
+    def advance(
+        self,
+        X_OH: np.ndarray,
+        q: np.ndarray,
+        approach: np.ndarray,
+        *,
+        contact_m: float,
+        farthest: float,
+        touching: bool,
+    ) -> np.ndarray:
+        """Travel (N,), metres, of N open hands along `approach` (N, 3); the rest as in `advance_hand`."""
+        from neuralgrasps.synthesis.gpu_kernels import Approach, advance_kernel  # noqa: PLC0415
+
+        travel, run = np.empty(len(q)), self._launcher(min(len(q), MOST_CANDIDATES))
+        for k in range(0, len(q), MOST_CANDIDATES):
+            rows = slice(k, k + MOST_CANDIDATES)
+            X, joints, direction = (np.ascontiguousarray(a[rows], np.float64) for a in (X_OH, q, approach))
+            hands = _load(Approach(X, joints, direction, travel[rows], contact_m, farthest, touching))
+            run(advance_kernel, hands, np.arange(len(hands.q)))
+            travel[rows] = _to_host(hands.travel)
+        return travel
 
     def _judge(self, X_OH: np.ndarray, q: np.ndarray, by_forces: bool) -> Judged:
         from neuralgrasps.synthesis import gpu_kernels as kernels  # noqa: PLC0415
@@ -150,15 +168,15 @@ class GpuPair:
         )
 
     def _launcher(self, count: int) -> Any:
-        """A function that runs a kernel on the candidates `todo` of a batch of `count`, if any."""
+        """A function that runs a kernel on the hands `todo` of up to `count`, if any."""
         fits = int(_MEMORY_SHARE * _free_bytes() / _thread_bytes(self._on_host))
         threads = max(min(count, MOST_THREADS, fits), 1)
         room = self._room(threads)
 
-        def run(kernel: Any, batch: Batch, todo: np.ndarray) -> None:
+        def run(kernel: Any, hands: Batch | Approach, todo: np.ndarray) -> None:
             if len(todo):
                 blocks = -(-min(len(todo), threads) // THREADS_PER_BLOCK)
-                kernel[blocks, THREADS_PER_BLOCK](self._on_gpu, batch, room, _load(todo.astype(np.int32)))
+                kernel[blocks, THREADS_PER_BLOCK](self._on_gpu, hands, room, _load(todo.astype(np.int32)))
 
         return run
 

@@ -17,7 +17,7 @@ from neuralgrasps.grasps.contact import ContactScratch
 from neuralgrasps.grasps.force_qp import ForceScratch
 from neuralgrasps.grasps.penetration import PoseScratch
 from neuralgrasps.hands.packed import pose_links
-from neuralgrasps.synthesis.assess import check_overlap, close_hand, grasp_residual, touch
+from neuralgrasps.synthesis.assess import advance_hand, check_overlap, close_hand, grasp_residual, touch
 from neuralgrasps.synthesis.close import CloseScratch
 
 
@@ -69,6 +69,22 @@ class Batch(NamedTuple):
     outcome: np.ndarray
 
 
+class Approach(NamedTuple):
+    """N open hands on their way to an object, in the GPU's memory; arguments of `advance_hand`.
+
+    Attributes:
+        X_OH: (N, 4, 4); q: (N, J); direction: (N, 3); travel: (N,), written.
+    """
+
+    X_OH: np.ndarray
+    q: np.ndarray
+    direction: np.ndarray
+    travel: np.ndarray
+    contact_m: float
+    farthest: float
+    touching: bool
+
+
 class Room(NamedTuple):
     """Work space of T threads; every array's first axis is the thread. See `Scratch` for the others.
 
@@ -87,6 +103,23 @@ class Room(NamedTuple):
     wrenches: np.ndarray
     f: np.ndarray
     trial_f: np.ndarray
+
+
+@cuda.jit(cache=True)
+def advance_kernel(pair, hands, room, todo):  # type: ignore[no-untyped-def]
+    """Move the open hands `todo` (M,) of an `Approach` towards the object: travel."""
+    thread, threads = cuda.grid(1), room.gap.shape[0]
+    if thread < threads:
+        pose, moved = cuda.local.array((3, 4), float64), cuda.local.array((3, 4), float64)
+        scratch = CloseScratch(pose, room.at_centre[thread], room.active[thread])
+        X_HL = room.X_HL[thread]
+        for m in range(thread, todo.shape[0], threads):
+            i = todo[m]
+            pose_links(pair.packed, hands.q[i], X_HL)
+            hands.travel[i] = advance_hand(
+                pair, hands.X_OH[i], X_HL, hands.direction[i], hands.contact_m, hands.farthest, hands.touching,
+                moved, scratch,
+            )  # fmt: skip
 
 
 @cuda.jit(cache=True)
