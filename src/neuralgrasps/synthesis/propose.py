@@ -16,8 +16,8 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import blocks, thread_map
+from neuralgrasps.synthesis.assess import advance_all
 from neuralgrasps.synthesis.candidates import GraspProblem
-from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.oppose import opposition, perpendicular, pose_on_pair, thumb_and_fingers
 
 START_GAP_M = 1.0e-3  # an open hand advances until it is this near
@@ -25,7 +25,6 @@ BACK_OFF_M = 0.012
 MAX_SPAN_M = 0.15  # wider pairs are not looked for
 OPPOSED_SHARE = 0.7
 DRAWS = 4  # pairs drawn per proposal: many are too wide, and drawing costs a hundredth of closing
-MAX_ADVANCES = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,29 +143,6 @@ def draw_preshapes(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarr
     return hand.preshape_lower + u * (hand.preshape_upper - hand.preshape_lower)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def _advance_to_contact(  # type: ignore[no-untyped-def]
-    values, origin, inv_spacing, packed, clusters, X_OH, X_HL, approach, contact_m, max_travel, touching, travel
-):
-    """Sphere-trace every open hand along its approach to first contact.
-
-    A hand that comes to `max_travel` free of contact stops there, or, where it was to touch, gets travel -1.
-    """
-    for i in range(X_OH.shape[0]):
-        gone = 0.0
-        X = X_OH[i].copy()
-        d = 0.0
-        for _ in range(MAX_ADVANCES):
-            d = hand_clearance(values, origin, inv_spacing, packed, clusters, X, X_HL[i])
-            if d < contact_m or gone >= max_travel:
-                break
-            gone = min(gone + d - 0.5 * contact_m, max_travel)
-            for k in range(3):
-                X[k, 3] = X_OH[i, k, 3] + gone * approach[i, k]
-        touches = d < contact_m and gone > 0.0
-        travel[i] = gone if touches or (not touching and gone >= max_travel) else -1.0
-
-
 def _reach(hand: Hand, obj: ObjectModel) -> float:
     """From where a hand's base clears the object in any direction, metres."""
     low, high = obj.mesh.bounds
@@ -185,14 +161,13 @@ def _advance(
     touching: bool,
     threads: int,
 ) -> np.ndarray:
-    """Travel (N,) of hands that start at `X_OH`; see `_advance_to_contact`."""
-    travel, X_HL, approach = np.empty(len(q)), forward_fast(problem.hand.tree, q), np.ascontiguousarray(approach)
+    """Travel (N,) of hands that start at `X_OH`, -1 where it ends as it should not; see `advance_hand`."""
+    if problem.device == "cuda":
+        return problem.on_gpu().advance(X_OH, q, approach, contact_m=START_GAP_M, farthest=reach, touching=touching)
+    pair, travel, approach = problem.arrays, np.empty(len(q)), np.ascontiguousarray(approach)
 
     def run(rows: slice) -> None:
-        _advance_to_contact(
-            *problem.sdf_arrays, problem.packed, problem.clusters, X_OH[rows], X_HL[rows], approach[rows],
-            START_GAP_M, reach, touching, travel[rows],
-        )  # fmt: skip
+        advance_all(pair, X_OH[rows], q[rows], approach[rows], START_GAP_M, reach, touching, travel[rows])
 
     thread_map(run, blocks(len(q), threads), threads=threads)
     return travel
