@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -53,6 +54,20 @@ def test_objects_show_import_list(ng: Call, tmp_path: Path) -> None:
     assert ng("objects", "import", mesh, "--replace").code == 0
 
 
+def _write_off(path: Path, corners: list[list[float]], faces: list[list[int]]) -> Path:
+    lines = ["OFF", f"{len(corners)} {len(faces)} 0", *(" ".join(map(str, c)) for c in corners)]
+    path.write_text("\n".join([*lines, *(f"{len(f)} {' '.join(map(str, f))}" for f in faces)]))
+    return path
+
+
+@pytest.fixture
+def wall(tmp_path: Path) -> Path:
+    """A mesh file of a cube of 60 cm: no jaw opens that far."""
+    corners = [[x, y, z] for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (-0.3, 0.3)]
+    quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    return _write_off(tmp_path / "wall.off", corners, quads)
+
+
 def test_synthesise_pairs(pipeline: Pipeline) -> None:
     record = pipeline.record
     assert record["grasps"] == 12 and [p["hand"] for p in record["pairs"]] == ["panda", "fetch"]
@@ -79,12 +94,7 @@ def test_synthesise_own_files_with_a_page(ng: Call, tmp_path: Path, monkeypatch:
     monkeypatch.chdir(tmp_path)
     shutil.copy(Path(neuralgrasps.__file__).parent / "assets" / "hands" / "panda" / "hand.xml", "my.xml")
     box = neuralgrasps.load_object("gelatin_box").mesh
-    Path("my.off").write_text(
-        f"OFF\n{len(box.vertices)} {len(box.faces)} 0\n"
-        + "\n".join(" ".join(map(str, v)) for v in box.vertices)
-        + "\n"
-        + "\n".join(f"3 {a} {b} {c}" for a, b, c in box.faces)
-    )
+    _write_off(Path("my.off"), box.vertices.tolist(), box.faces.tolist())
     made = ng(
         "synthesise",
         "--hand",
@@ -109,21 +119,59 @@ def test_synthesise_own_files_with_a_page(ng: Call, tmp_path: Path, monkeypatch:
     assert measured.result["pairs"][0]["penetration_p95_mm"] == pytest.approx(made.result["penetration_p95_mm"])
 
 
-def test_no_grasp_is_a_failure_with_a_reason(ng: Call, tmp_path: Path) -> None:
+def test_no_grasp_is_a_failure_with_a_reason(ng: Call, wall: Path, tmp_path: Path) -> None:
     out = tmp_path / "g.safetensors"
-    wall = tmp_path / "wall.off"  # 60 cm each way: no jaw opens that far
-    corners = [(x, y, z) for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (-0.3, 0.3)]
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    wall.write_text(
-        "OFF\n8 6 0\n"
-        + "\n".join(" ".join(map(str, c)) for c in corners)
-        + "\n"
-        + "\n".join(f"4 {' '.join(map(str, f))}" for f in quads)
-    )
-    made = ng("synthesise", "--hand", "panda", "--object", wall, "--count", 2, "--max-rounds", 1, "--out", out)
-    assert made.code == 1 and made.result["validated"] == 0
-    assert "aperture" in made.result["reason"] and "aperture" in made.out
-    assert not out.exists()
+    made = ng(
+        "synthesise", "--hand", "panda", "--object", wall, "--count", 2, "--max-rounds", 1, "--out", out,
+        "--report", tmp_path / "p.html",
+    )  # fmt: skip
+    assert made.code == 1 and made.result["validated"] == 0 and made.result["shortfall"] == "too wide"
+    reason = "too wide: narrowest graspable width 600 mm, aperture 80 mm"
+    assert made.result["reason"] == reason and reason in made.out
+    assert not out.exists() and not (tmp_path / "p.html").exists()
+
+
+def test_the_feasibility_table(ng: Call, pipeline: Pipeline, wall: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "grasps"
+    shutil.copytree(pipeline.grasps, folder)  # the pairs with the box are done
+    parts = tmp_path / "parts"
+    parts.mkdir()
+    shutil.move(wall, parts / "wall.off")
+    made = ng(
+        "synthesise", "--all", "--hands", "panda", "fetch", "--objects", "gelatin_box", parts, "--count", 6,
+        "--out-dir", folder, "--workers", 1, "--report", tmp_path / "page" / "p.html",
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    assert [(p["hand"], p["object"], p["validated"], p["shortfall"]) for p in made.result["pairs"]] == [
+        ("panda", "gelatin_box", 6, ""),
+        ("fetch", "gelatin_box", 6, ""),
+        ("panda", "wall", 0, "too wide"),
+        ("fetch", "wall", 0, "too wide"),
+    ]
+    assert "6/6" in made.out and "aperture 100 mm" in made.out
+    table = json.loads((folder / "feasibility.json").read_text())
+    assert table["pairs"] == made.result["pairs"] and table["protocol"] == "dexgraspbench" and table["grasps"] == 12
+    assert (folder / "feasibility.csv").read_text().count("\n") == 5
+    page = (tmp_path / "page" / "p.html").read_text()
+    assert page.count("<figure>") - page.count('class="plot"') == 12  # two sheets of six
+    assert "too wide" in page and 'href="#sheet-1"' in page
+
+
+def test_only_infeasible_pairs_is_a_failure_with_a_table(ng: Call, wall: Path, tmp_path: Path) -> None:
+    made = ng(
+        "synthesise", "--hands", "panda", "--objects", wall, "--count", 1, "--out-dir", tmp_path / "g", "--workers", 1,
+        "--report", tmp_path / "p.html",
+    )  # fmt: skip
+    assert made.code == 1 and made.result["pairs"][0]["shortfall"] == "too wide"
+    assert "too wide" in (tmp_path / "p.html").read_text() and (tmp_path / "g" / "feasibility.csv").is_file()
+
+
+def test_a_mesh_inside_out_is_turned_and_said(ng: Call, tmp_path: Path) -> None:
+    box = neuralgrasps.load_object("gelatin_box").mesh
+    file = _write_off(tmp_path / "inside_out.off", box.vertices.tolist(), box.faces[:, ::-1].tolist())
+    made = ng("synthesise", "--hand", "fetch", "--object", file, "--count", 1, "--out", tmp_path / "g.safetensors")
+    assert made.code == 0 and made.result["validated"] == 1
+    assert "inside-out" in made.out
 
 
 def test_dataset_info_and_verify(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.grasps.kind import finger_of_link
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.surface import hand_part_meshes
 from neuralgrasps.objects.object_model import ObjectModel
@@ -88,14 +89,6 @@ def grasp_view(hand: Hand, mesh: Mesh, grasp: GraspSet) -> np.ndarray:
         grasp.contact_points_O[0][touched],
         owner[grasp.contact_links[0][touched]],
     )
-
-
-def finger_of_link(hand: Hand) -> np.ndarray:
-    """(L,) index of the finger that each link belongs to, -1 for the palm."""
-    owner = np.full(hand.tree.num_links, -1)
-    for index, finger in enumerate(hand.fingers):
-        owner[list(finger.links)] = index
-    return owner
 
 
 def kind_text(grasps: GraspSet, index: int) -> str:

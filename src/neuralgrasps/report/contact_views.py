@@ -22,7 +22,7 @@ _CANDIDATES = tuple(
 )
 _PLEASING_RAD, _SPREAD_RAD = 0.38, 0.36  # elevation at which things look best, and how far from it they still do
 _WEIGHTS = np.array([1.5, 1.1, 0.7, 0.5])  # fingers at contacts, object at contacts, object, hand
-_PLEASING_WEIGHT = 0.6
+_PLEASING_WEIGHT = 0.8
 
 
 def contact_direction(
