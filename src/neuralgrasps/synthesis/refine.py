@@ -35,6 +35,8 @@ def perturb(
 
 def assess_all(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, *, threads: int = 1) -> Candidates:
     """`close_and_assess` in as many blocks as threads; the result is the same for any number."""
+    if problem.device != "cpu":
+        return close_and_assess(problem, X_OH, q)
     rows = blocks(len(q), threads)
     return Candidates.join(thread_map(lambda b: close_and_assess(problem, X_OH[b], q[b]), rows, threads=threads))
 

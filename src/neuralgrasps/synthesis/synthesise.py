@@ -20,6 +20,7 @@ from neuralgrasps.synthesis.candidates import (
     OUTCOMES,
     VALID,
     Candidates,
+    Device,
     GraspProblem,
     make_problem,
 )
@@ -51,6 +52,7 @@ class SynthesisConfig:
             precision grasps (only fingertips touch). None takes them as they come; parallel jaws always do.
         spare: diverse candidates that are refined per grasp still wanted; generations, children: of the refinement.
         pad_depth_m: largest offset of the object's middle from the middle of a jaw's pads along the approach.
+        device: "cpu", or "cuda" to trace, close and judge hands on an NVIDIA GPU; figures differ in their last bits.
     """
 
     count: int = 60
@@ -68,6 +70,7 @@ class SynthesisConfig:
     generations: int = 3
     children: int = 8
     pad_depth_m: float = 0.012
+    device: Device = "cpu"
 
     def __post_init__(self) -> None:
         for name in ("count", "batch", "draws", "max_rounds", "spare", "children"):
@@ -145,6 +148,7 @@ def synthesise(
         problem = make_problem(
             hand, obj, friction=friction, torsion=torsion,
             contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
+            device=config.device,
         )  # fmt: skip
     quotas = Quotas(hand, config.count, config.power_share)
     outcomes = np.zeros(len(OUTCOMES), np.int64)
