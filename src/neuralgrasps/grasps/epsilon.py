@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from neuralgrasps.grasps.polar import OVERFLOW, farthest_vertex, polar_scratch
 
 LEAST = 1e-7  # a smaller epsilon is reported as 0
-STARTS = 0  # ignored, as by `epsilon`
+STARTS = 1  # no longer means anything
 _FIRST_REACH, _LAST_REACH = 1e3, 1.0 / LEAST  # of the polar that is searched: finds epsilon above 1 / this
 _VERTICES = 2048  # room to begin with; real grasps of 2-39 contacts need up to 1,400
 
