@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from neuralgrasps.grasps.contact import ContactScratch, find_contacts_using, most_points
-from neuralgrasps.grasps.epsilon import epsilon, epsilon_upper_bound
+from neuralgrasps.grasps.epsilon import epsilon_scratch, epsilon_with, epsilon_within
 from neuralgrasps.grasps.force_qp import WEIGHT, edge_forces_using, net_wrench, new_force_scratch
 from neuralgrasps.grasps.penetration import (
     PoseScratch,
@@ -20,6 +20,7 @@ from neuralgrasps.grasps.penetration import (
     object_points_in_hand_using,
     self_penetration_using,
 )
+from neuralgrasps.grasps.polar import PolarScratch
 from neuralgrasps.grasps.probe_points import ProbePoints
 from neuralgrasps.grasps.wrench_space import fill_grasp_wrenches
 from neuralgrasps.hands.packed import PackedHand, pose_links
@@ -34,7 +35,6 @@ from neuralgrasps.synthesis.clusters import Clusters, hand_clearance_using
 
 CONE_EDGES = 8
 CONTACTS_PER_LINK = 3
-STARTS = 8  # of the walks for epsilon: enough to rank candidates
 MAX_ADVANCES = 60  # steps of an approach
 MAX_RESIDUAL = 1.0e-3  # N of net wrench per N of squeeze: what balanced contact forces may leave
 # Outcome of one candidate, from first to last obstacle.
@@ -67,6 +67,15 @@ class Pair(NamedTuple):
     max_penetration: float
 
 
+class Cone(NamedTuple):
+    """What wrenches depend on besides contacts: the attributes of `Pair` of the same names."""
+
+    com: np.ndarray
+    length: float
+    friction: float
+    torsion: float
+
+
 class ContactList(NamedTuple):
     """Contacts of one candidate: points, normals (R, 3) float64, links (R,) int32, wrenches (R * 10, 6) float64."""
 
@@ -84,6 +93,7 @@ class Scratch(NamedTuple):
     close: CloseScratch
     contact: ContactScratch
     found: ContactList
+    quality: PolarScratch
     poses: PoseScratch
 
 
@@ -106,6 +116,7 @@ def new_scratch(pair):  # type: ignore[no-untyped-def]
         ContactList(
             np.empty((rows, 3)), np.empty((rows, 3)), np.empty(rows, np.int32), np.empty((rows * (CONE_EDGES + 2), 6))
         ),
+        epsilon_scratch(rows * (CONE_EDGES + 2)),
         new_poses(),
     )
 
@@ -162,26 +173,29 @@ def touch(pair, X_OH, X_HL, scratch, points, normals, links):  # type: ignore[no
 
 
 @njit(cache=True, error_model="numpy")
-def fill_wrenches(pair, points, normals, count, wrenches):  # type: ignore[no-untyped-def]
-    """The wrenches of the first `count` contacts; how many."""
+def fill_wrenches(cone, points, normals, count, wrenches):  # type: ignore[no-untyped-def]
+    """The wrenches of the first `count` contacts; how many. `cone` is a `Pair` or a `Cone`."""
     return fill_grasp_wrenches(
-        points, normals, count, pair.com, pair.friction, CONE_EDGES, pair.torsion, pair.length, wrenches
+        points, normals, count, cone.com, cone.friction, CONE_EDGES, cone.torsion, cone.length, wrenches
     )
 
 
 @njit(cache=True, error_model="numpy")
-def grasp_epsilon(pair, points, normals, count, wrenches):  # type: ignore[no-untyped-def]
+def grasp_epsilon(cone, points, normals, count, wrenches, scratch):  # type: ignore[no-untyped-def]
     """Ferrari-Canny quality of the first `count` contacts, 0 without force closure."""
-    rows = fill_wrenches(pair, points, normals, count, wrenches)
-    if epsilon_upper_bound(wrenches[:rows]) <= 0.0:
-        return 0.0
-    return epsilon(wrenches[:rows], STARTS)
+    return epsilon_with(wrenches, fill_wrenches(cone, points, normals, count, wrenches), scratch)
 
 
 @njit(cache=True, error_model="numpy")
-def grasp_residual(pair, points, normals, count, wrenches, scratch):  # type: ignore[no-untyped-def]
+def grasp_epsilon_within(cone, points, normals, count, wrenches, scratch):  # type: ignore[no-untyped-def]
+    """`grasp_epsilon`, or -1 where `scratch`, a `PolarScratch`, is too small: for GPUs, which cannot allocate more."""
+    return epsilon_within(wrenches, fill_wrenches(cone, points, normals, count, wrenches), scratch)
+
+
+@njit(cache=True, error_model="numpy")
+def grasp_residual(cone, points, normals, count, wrenches, scratch):  # type: ignore[no-untyped-def]
     """What the best squeeze of 1 N in total leaves unbalanced (`force_qp`); `scratch` is a `ForceScratch`."""
-    rows = fill_wrenches(pair, points, normals, count, wrenches)
+    rows = fill_wrenches(cone, points, normals, count, wrenches)
     edge_forces_using(wrenches, rows, WEIGHT, scratch)
     return net_wrench(wrenches, rows, scratch.f)
 
@@ -233,7 +247,7 @@ def assess(pair, X_OH, q_start, q, scratch):  # type: ignore[no-untyped-def]
     count = touch(pair, X_OH, scratch.X_HL, scratch.contact, points, normals, links)
     if count == 0:
         return FEW_CONTACTS, 0.0, 0.0
-    quality = grasp_epsilon(pair, points, normals, count, wrenches)
+    quality = grasp_epsilon(pair, points, normals, count, wrenches, scratch.quality)
     if quality <= 0.0:
         return NO_FORCE_CLOSURE, 0.0, 0.0
     outcome, depth = check_overlap(
@@ -287,11 +301,11 @@ def close_and_balance_all(pair, q_start, X_OH, q, residual, penetration, outcome
 @njit(cache=True, error_model="numpy", nogil=True)
 def epsilon_all(pair, points, normals, contacts, todo):  # type: ignore[no-untyped-def]
     """`grasp_epsilon` (N,) of the candidates `todo` (M,), 0 for others; points, normals (N, R, 3), contacts (N,)."""
-    quality = np.zeros(contacts.shape[0])
-    wrenches = np.empty((points.shape[1] * (CONE_EDGES + 2), 6))
+    quality, rows = np.zeros(contacts.shape[0]), points.shape[1] * (CONE_EDGES + 2)
+    wrenches, scratch = np.empty((rows, 6)), epsilon_scratch(rows)
     for m in range(todo.shape[0]):
         i = todo[m]
-        quality[i] = grasp_epsilon(pair, points[i], normals[i], contacts[i], wrenches)
+        quality[i] = grasp_epsilon(pair, points[i], normals[i], contacts[i], wrenches, scratch)
     return quality
 
 
