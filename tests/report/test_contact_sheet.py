@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from neuralgrasps.geometry.mesh import Mesh
-from neuralgrasps.geometry.primitives import sphere_mesh
+from neuralgrasps.geometry.primitives import box_mesh, sphere_mesh
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.zoo import load_hand
@@ -74,22 +74,26 @@ def _approach(hand: Hand) -> np.ndarray:
     return X_OP @ np.linalg.inv(X_HP)
 
 
-def test_the_camera_stands_where_the_finger_touches():
-    finger, target = sphere_mesh(0.008), sphere_mesh(0.03)
-    for x in (-1.0, 1.0):
-        view = contact_direction(
-            [_at(finger, 0.038 * x, 0, 0)], [0], target, np.array([[0.03 * x, 0, 0]]), np.array([0])
-        )
-        assert view[0] * x > 0
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_the_camera_stands_where_the_finger_touches(side: float):
+    """A larger finger that touches nothing, on the other side, does not draw the camera."""
+    finger, idle, target = sphere_mesh(0.006), sphere_mesh(0.015), sphere_mesh(0.03)
+    meshes = [_at(finger, 0.036 * side, 0, 0), _at(idle, -0.05 * side, 0, 0)]
+    contacts = np.array([[0.03 * side, 0, 0]])
+    assert contact_direction(meshes, [0, 1], target, contacts, np.array([0]))[0] * side > 0.3
+    # far from the origin too
+    X = np.eye(4)
+    X[:3, 3] = (0.5, -0.4, 0.2)
+    meshes, contacts = [m.transformed(X) for m in meshes], contacts + X[:3, 3]
+    assert contact_direction(meshes, [0, 1], target.transformed(X), contacts, np.array([0]))[0] * side > 0.3
 
 
-def test_every_touching_finger_counts_alike():
-    """A small fingertip in front and a wide palm behind: both are in view, from the side."""
-    tip, palm, target = sphere_mesh(0.008), sphere_mesh(0.03), sphere_mesh(0.03)
-    meshes = [_at(tip, 0.038, 0, 0), _at(palm, -0.06, 0, 0)]
-    contacts = np.array([[0.03, 0, 0], [-0.03, 0, 0]])
-    view = contact_direction(meshes, [0, -1], target, contacts, np.array([0, -1]))
-    assert abs(view[0]) < 0.75
+def test_two_fingers_on_a_plate_are_seen_from_its_edge():
+    """From either face only one of them would be in view."""
+    meshes = [_at(sphere_mesh(0.008), x, 0, 0) for x in (0.012, -0.012)]
+    plate, contacts = box_mesh([0.004, 0.03, 0.03]), np.array([[0.004, 0, 0], [-0.004, 0, 0]])
+    view = contact_direction(meshes, [0, 1], plate, contacts, np.array([0, 1]))
+    assert abs(view[0]) < 0.3
 
 
 def test_the_view_turns_with_the_scene():

@@ -64,6 +64,7 @@ def test_spans_of_known_hands(hands: dict[str, Hand], problem_of: ProblemOf) -> 
 def test_wide_objects_quote_width_and_aperture(problem_of: ProblemOf) -> None:
     found = _why(problem_of("panda", "cube"))
     assert str(found) == "too wide: narrowest graspable width 300 mm, aperture 80 mm"
+    assert _why(problem_of("panda", "box")).kind == "no room"  # 40 mm one way, 100 mm another: not too wide
     assert "fingers span" in _why(problem_of("allegro", "cube"), few_contacts=900).clause
 
 

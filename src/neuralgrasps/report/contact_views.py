@@ -21,8 +21,9 @@ _CANDIDATES = tuple(
     for azimuth in range(shift, 360 + shift, step)
 )
 _PLEASING_RAD, _SPREAD_RAD = 0.38, 0.36  # elevation at which things look best, and how far from it they still do
-_WEIGHTS = np.array([1.5, 1.1, 0.7, 0.5])  # fingers at contacts, object at contacts, object, hand
+_WEIGHTS = np.array([1.9, 1.1, 0.7, 0.5])  # fingers at contacts, object at contacts, object, hand
 _PLEASING_WEIGHT = 0.8
+_ENOUGH = 0.5  # of the most that any view shows of a contact
 
 
 def contact_direction(
@@ -94,5 +95,5 @@ def _mean_share(counts: np.ndarray) -> np.ndarray:
     """(D,) mean of the columns' square roots, and a third of the least: a little of each finger beats all of one."""
     if counts.shape[1] == 0:
         return np.zeros(len(counts))
-    roots = np.sqrt(_share(counts))
+    roots = np.sqrt(np.minimum(_share(counts) / _ENOUGH, 1.0))
     return roots.mean(axis=1) + roots.min(axis=1) / 3
