@@ -14,7 +14,7 @@ from neuralgrasps.demo.measure import pose_trials
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.grasps.contact import find_contacts
-from neuralgrasps.grasps.epsilon import STARTS, epsilon, epsilon_upper_bound
+from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.penetration import penetration_depths
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
@@ -64,8 +64,7 @@ def _cross() -> tuple[np.ndarray, np.ndarray]:
 def _quality() -> None:
     points, normals = _cross()
     wrenches = grasp_wrenches(points, normals, np.zeros(3), 0.6, CONE_EDGES, 0.02, 0.05)
-    epsilon_upper_bound(wrenches)
-    epsilon(wrenches, STARTS)
+    epsilon(wrenches)
     contact_forces(points, normals, np.zeros(3), 0.6)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from neuralgrasps.grasps.contact import find_contacts
-from neuralgrasps.grasps.epsilon import STARTS, epsilon
+from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
 from neuralgrasps.grasps.kind import contact_kinds
@@ -122,7 +122,7 @@ def _quality(problem: GraspProblem, points: np.ndarray, normals: np.ndarray) -> 
     wrenches = grasp_wrenches(
         points, normals, problem.obj.com_O, problem.friction, CONE_EDGES, problem.torsion, problem.length
     )
-    return epsilon(wrenches, STARTS)
+    return epsilon(wrenches)
 
 
 def clear_pregrasps(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, idle: np.ndarray) -> np.ndarray:
