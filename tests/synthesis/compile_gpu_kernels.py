@@ -15,9 +15,11 @@ from numba import cuda, typeof
 from numba.core.dispatcher import Dispatcher
 from numba.cuda import dispatcher
 
+from neuralgrasps.grasps.polar import polar_scratch
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.synthesis import gpu_kernels as kernels
+from neuralgrasps.synthesis.assess import Cone
 from neuralgrasps.synthesis.candidates import make_problem
 from neuralgrasps.synthesis.device import slim
 
@@ -55,21 +57,30 @@ def main(folder: Path | None) -> None:
     batch = kernels.Batch(
         q_start=many(2, 3), X_OH=many(2, 4, 4), q=many(2, 3), closed=many(2, dtype=np.bool_),
         contacts=many(2, dtype=np.int32), points=many(2, 2, 3), normals=many(2, 2, 3), links=many(2, 2, dtype=np.int32),
-        residual=many(2), penetration=many(2), outcome=many(2, dtype=np.int8),
+        score=many(2), penetration=many(2), outcome=many(2, dtype=np.int8),
     )  # fmt: skip
-    sizes = {"X_HL": (2, 2, 4, 4), "points": (2, 2, 3), "normals": (2, 2, 3), "wrenches": (2, 2, 6)}
-    flags = ("active", "busy")
-    room = kernels.Room(
-        **{f: many(*sizes.get(f, (2, 2)), dtype=np.bool_ if f in flags else np.float64, order="F")
-           for f in kernels.Room._fields}
-    )  # fmt: skip
+    pair = slim(problem.arrays)
+    cone = Cone(pair.com, pair.length, pair.friction, pair.torsion)
+
+    def room_like(kind, *likes: np.ndarray):
+        return kind(*(many(2, *(2,) * a.ndim, dtype=a.dtype.type, order="F") for a in likes))
+
+    line, matrix, flags = many(2), many(2, 2), many(2, dtype=np.bool_)
+    room = room_like(kernels.Room, many(2, 2, 2), line, flags, flags, matrix, matrix, line)
+    work = {
+        "advance_kernel": (pair, hands, room),
+        "close_kernel": (pair, batch, room),
+        "contact_kernel": (pair, batch, room),
+        "epsilon_kernel": (cone, batch, room_like(kernels.PolarRoom, matrix, *polar_scratch(2, 8))),
+        "force_kernel": (cone, batch, room_like(kernels.ForceRoom, matrix, line, line)),
+        "overlap_kernel": (pair, batch, room),
+    }
     todo = many(2, dtype=np.int32)
     for capability in CAPABILITIES:
         # a kernel's callees are compiled for the current GPU, of which there is none
         dispatcher.get_current_device = lambda c=capability: type("Gpu", (), {"compute_capability": c})
         for name in [n for n in dir(kernels) if n.endswith("_kernel")]:
-            work = hands if name == "advance_kernel" else batch
-            types = tuple(typeof(a) for a in (slim(problem.arrays), work, room, todo))
+            types = tuple(typeof(a) for a in (*work[name], todo))
             kernel = getattr(kernels, name)
             ptx, _ = cuda.compile_ptx(kernel.py_func, types, cc=capability)
             entry = ptx[ptx.index(".entry") :]

@@ -1,20 +1,22 @@
 """Closing and judging candidates on an NVIDIA GPU, by the CPU's own steps; loaded only when a GPU is asked for.
 
-Which hands close, what they touch, which contacts balance and what overlaps is found on the GPU. The exact epsilon
-walks a polytope whose size nobody knows beforehand: it stays on the CPU, for candidates that touch with two links.
+The search for epsilon grows as it needs on the CPU and cannot on a GPU: what does not fit there is done on the CPU.
 """
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from neuralgrasps.errors import DeviceError
 from neuralgrasps.grasps.contact import most_points
+from neuralgrasps.grasps.polar import OVERFLOW, polar_scratch
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.synthesis.assess import (
     COLLIDES,
@@ -23,6 +25,7 @@ from neuralgrasps.synthesis.assess import (
     MAX_RESIDUAL,
     NO_FORCE_CLOSURE,
     VALID,
+    Cone,
     Pair,
     epsilon_all,
     most_contacts,
@@ -30,10 +33,11 @@ from neuralgrasps.synthesis.assess import (
 from neuralgrasps.synthesis.clusters import most_clusters
 
 if TYPE_CHECKING:
-    from neuralgrasps.synthesis.gpu_kernels import Approach, Batch, Room
+    from neuralgrasps.synthesis.gpu_kernels import Approach, Batch
 
 MOST_THREADS = 65_536  # in flight; more candidates take turns
 MOST_CANDIDATES = 131_072  # in the GPU's memory at a time
+VERTICES = 1024  # of the search for epsilon; grasps with more than about 20 contacts may need more
 THREADS_PER_BLOCK = 64
 _MEMORY_SHARE = 0.4  # of the free memory for work space, and as much again for candidates
 
@@ -47,6 +51,17 @@ class Judged:
     score: np.ndarray
     penetration_m: np.ndarray
     outcome: np.ndarray
+
+
+class Space(NamedTuple):
+    """An array that every thread needs for itself."""
+
+    shape: tuple[int, ...]
+    dtype: type = np.float64
+
+    @property
+    def bytes(self) -> int:
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize
 
 
 def is_simulated() -> bool:
@@ -92,6 +107,7 @@ class GpuPair:
         self._on_host = pair
         # the simulator takes what the CPU has compiled its steps for already
         self._on_gpu = _load(pair if is_simulated() else slim(pair))
+        self._cone = Cone(self._on_gpu.com, pair.length, pair.friction, pair.torsion)
 
     def judge(self, X_OH: np.ndarray, q: np.ndarray, *, by_forces: bool) -> Judged:
         """Close N hands from `X_OH` (N, 4, 4) and `q` (N, J) and judge them by their best squeeze, or by epsilon."""
@@ -111,9 +127,10 @@ class GpuPair:
         touching: bool,
     ) -> np.ndarray:
         """Travel (N,), metres, of N open hands along `approach` (N, 3); the rest as in `advance_hand`."""
-        from neuralgrasps.synthesis.gpu_kernels import Approach, advance_kernel  # noqa: PLC0415
+        from neuralgrasps.synthesis.gpu_kernels import Approach, Room, advance_kernel  # noqa: PLC0415
 
-        travel, run = np.empty(len(q)), self._launcher(min(len(q), MOST_CANDIDATES))
+        travel = np.empty(len(q))
+        run = self._launcher(self._on_gpu, Room, self._hand_spaces(), min(len(q), MOST_CANDIDATES))
         for k in range(0, len(q), MOST_CANDIDATES):
             rows = slice(k, k + MOST_CANDIDATES)
             X, joints, direction = (np.ascontiguousarray(a[rows], np.float64) for a in (X_OH, q, approach))
@@ -125,7 +142,8 @@ class GpuPair:
     def _judge(self, X_OH: np.ndarray, q: np.ndarray, by_forces: bool) -> Judged:
         from neuralgrasps.synthesis import gpu_kernels as kernels  # noqa: PLC0415
 
-        batch, run = self._batch(X_OH, q), self._launcher(len(q))
+        batch = self._batch(X_OH, q)
+        run = self._launcher(self._on_gpu, kernels.Room, self._hand_spaces(), len(q))
         outcome, depth = np.full(len(q), COLLIDES, np.int8), np.zeros(len(q))
         score = np.full(len(q), np.inf if by_forces else 0.0)
         run(kernels.close_kernel, batch, np.arange(len(q)))
@@ -135,18 +153,36 @@ class GpuPair:
         contacts = _to_host(batch.contacts)
         todo = todo[contacts[todo] > 0]
         outcome[todo] = NO_FORCE_CLOSURE
-        if by_forces:
-            run(kernels.force_kernel, batch, todo)
-            score[todo] = _to_host(batch.residual)[todo]
-            todo = todo[score[todo] <= MAX_RESIDUAL]
-        else:
-            quality = epsilon_all(self._on_host, _to_host(batch.points), _to_host(batch.normals), contacts, todo)
-            todo = todo[quality[todo] > 0.0]
+        score[todo] = self._residual(batch, todo) if by_forces else self._epsilon(batch, todo)
+        todo = todo[score[todo] <= MAX_RESIDUAL] if by_forces else todo[score[todo] > 0.0]
         run(kernels.overlap_kernel, batch, todo)
         outcome[todo], depth[todo] = _to_host(batch.outcome)[todo], _to_host(batch.penetration)[todo]
         if not by_forces:
-            score = np.where(outcome == VALID, quality, 0.0)
+            score[outcome != VALID] = 0.0
         return Judged(X_OH=_to_host(batch.X_OH), q=_to_host(batch.q), score=score, penetration_m=depth, outcome=outcome)
+
+    def _residual(self, batch: Batch, todo: np.ndarray) -> np.ndarray:
+        """(M,) residuals of the candidates `todo`."""
+        from neuralgrasps.synthesis.gpu_kernels import ForceRoom, force_kernel  # noqa: PLC0415
+
+        rows = most_contacts(self._on_host.packed) * (CONE_EDGES + 2)
+        spaces = (Space((rows, 6)), Space((rows,)), Space((rows,)))
+        self._launcher(self._cone, ForceRoom, spaces, len(todo))(force_kernel, batch, todo)
+        return _to_host(batch.score)[todo]
+
+    def _epsilon(self, batch: Batch, todo: np.ndarray) -> np.ndarray:
+        """(M,) epsilon of the candidates `todo`."""
+        from neuralgrasps.synthesis.gpu_kernels import PolarRoom, epsilon_kernel  # noqa: PLC0415
+
+        rows = most_contacts(self._on_host.packed) * (CONE_EDGES + 2)
+        spaces = (Space((rows, 6)), *(Space(a.shape, a.dtype.type) for a in polar_scratch(rows, VERTICES)))
+        self._launcher(self._cone, PolarRoom, spaces, len(todo))(epsilon_kernel, batch, todo)
+        score = _to_host(batch.score)
+        again = todo[score[todo] == OVERFLOW]
+        if len(again):
+            points, normals, contacts = (_to_host(a)[again] for a in (batch.points, batch.normals, batch.contacts))
+            score[again] = epsilon_all(self._on_host, points, normals, contacts, np.arange(len(again)))
+        return score[todo]
 
     def _batch(self, X_OH: np.ndarray, q: np.ndarray) -> Batch:
         from neuralgrasps.synthesis.gpu_kernels import Batch  # noqa: PLC0415
@@ -162,50 +198,34 @@ class GpuPair:
             points=_empty((n, most, 3)),
             normals=_empty((n, most, 3)),
             links=_empty((n, most), np.int32),
-            residual=_load(np.zeros(n)),
+            score=_load(np.zeros(n)),
             penetration=_load(np.zeros(n)),
             outcome=_load(np.zeros(n, np.int8)),
         )
 
-    def _launcher(self, count: int) -> Any:
-        """A function that runs a kernel on the hands `todo` of up to `count`, if any."""
-        fits = int(_MEMORY_SHARE * _free_bytes() / _thread_bytes(self._on_host))
+    def _launcher(self, constants: Any, kind: Any, spaces: Sequence[Space], count: int) -> Any:
+        """A function that runs a kernel on the hands `todo` of up to `count`, if any.
+
+        Its threads' work space is a named tuple `kind` of these `spaces`.
+        """
+        fits = int(_MEMORY_SHARE * _free_bytes() / sum(space.bytes for space in spaces))
         threads = max(min(count, MOST_THREADS, fits), 1)
-        room = self._room(threads)
+        room = kind(*(_empty((threads, *space.shape), space.dtype, order="F") for space in spaces))
 
         def run(kernel: Any, hands: Batch | Approach, todo: np.ndarray) -> None:
             if len(todo):
                 blocks = -(-min(len(todo), threads) // THREADS_PER_BLOCK)
-                kernel[blocks, THREADS_PER_BLOCK](self._on_gpu, hands, room, _load(todo.astype(np.int32)))
+                kernel[blocks, THREADS_PER_BLOCK](constants, hands, room, _load(todo.astype(np.int32)))
 
         return run
 
-    def _room(self, threads: int) -> Room:
-        from neuralgrasps.synthesis.gpu_kernels import Room  # noqa: PLC0415
-
+    def _hand_spaces(self) -> Sequence[Space]:
+        """The arrays of `gpu_kernels.Room`."""
         packed = self._on_host.packed
-        links, joints = packed.link_radius.shape[0], packed.lower.shape[0]
-        points, rows = most_points(packed), most_contacts(packed) * (CONE_EDGES + 2)
-        return Room(
-            X_HL=_empty((threads, links, 4, 4), order="F"),
-            at_centre=_empty((threads, most_clusters(self._on_host.clusters)), order="F"),
-            active=_empty((threads, joints + 1), np.bool_, order="F"),
-            busy=_empty((threads, joints + 1), np.bool_, order="F"),
-            points=_empty((threads, points, 3), order="F"),
-            normals=_empty((threads, points, 3), order="F"),
-            gap=_empty((threads, points), order="F"),
-            wrenches=_empty((threads, rows, 6), order="F"),
-            f=_empty((threads, rows), order="F"),
-            trial_f=_empty((threads, rows), order="F"),
-        )
-
-
-def _thread_bytes(pair: Pair) -> int:
-    """Size of one thread's share of `Room`."""
-    packed = pair.packed
-    rows = most_contacts(packed) * (CONE_EDGES + 2)
-    words = 16 * packed.link_radius.shape[0] + most_clusters(pair.clusters) + 7 * most_points(packed) + 8 * rows
-    return int(8 * words + 2 * packed.lower.shape[0] + 2)
+        links, joints, points = packed.link_radius.shape[0], packed.lower.shape[0], most_points(packed)
+        at_centre, flags = Space((most_clusters(self._on_host.clusters),)), Space((joints + 1,), np.bool_)
+        of_points = Space((points, 3))
+        return Space((links, 4, 4)), at_centre, flags, flags, of_points, of_points, Space((points,))
 
 
 def _batch_bytes(packed: PackedHand) -> int:

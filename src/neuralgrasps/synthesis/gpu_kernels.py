@@ -16,8 +16,16 @@ from numba import cuda, float64
 from neuralgrasps.grasps.contact import ContactScratch
 from neuralgrasps.grasps.force_qp import ForceScratch
 from neuralgrasps.grasps.penetration import PoseScratch
+from neuralgrasps.grasps.polar import PolarScratch
 from neuralgrasps.hands.packed import pose_links
-from neuralgrasps.synthesis.assess import advance_hand, check_overlap, close_hand, grasp_residual, touch
+from neuralgrasps.synthesis.assess import (
+    advance_hand,
+    check_overlap,
+    close_hand,
+    grasp_epsilon_within,
+    grasp_residual,
+    touch,
+)
 from neuralgrasps.synthesis.close import CloseScratch
 
 
@@ -53,7 +61,8 @@ class Batch(NamedTuple):
 
     Attributes:
         q_start, q: (N, J); X_OH: (N, 4, 4); closed: (N,) bool; contacts: (N,) int32, how many.
-        points, normals: (N, R, 3); links: (N, R) int32; residual, penetration: (N,); outcome: (N,) int8.
+        points, normals: (N, R, 3); links: (N, R) int32; score: (N,) epsilon or residual; penetration: (N,);
+        outcome: (N,) int8.
     """
 
     q_start: np.ndarray
@@ -64,7 +73,7 @@ class Batch(NamedTuple):
     points: np.ndarray
     normals: np.ndarray
     links: np.ndarray
-    residual: np.ndarray
+    score: np.ndarray
     penetration: np.ndarray
     outcome: np.ndarray
 
@@ -90,7 +99,7 @@ class Room(NamedTuple):
 
     Attributes:
         X_HL: (T, L, 4, 4); at_centre: (T, C); active, busy: (T, J + 1) bool.
-        points, normals: (T, K, 3), gap: (T, K): of one link. wrenches: (T, R * 10, 6); f, trial_f: (T, R * 10).
+        points, normals: (T, K, 3), gap: (T, K): of one link.
     """
 
     X_HL: np.ndarray
@@ -100,9 +109,31 @@ class Room(NamedTuple):
     points: np.ndarray
     normals: np.ndarray
     gap: np.ndarray
+
+
+class ForceRoom(NamedTuple):
+    """Work space of T balancing threads, W wrenches each: wrenches (T, W, 6), f, trial_f (T, W)."""
+
     wrenches: np.ndarray
     f: np.ndarray
     trial_f: np.ndarray
+
+
+class PolarRoom(NamedTuple):
+    """Work space of T threads that search for epsilon: wrenches (T, W, 6); the others as in `PolarScratch`."""
+
+    wrenches: np.ndarray
+    x: np.ndarray
+    squared: np.ndarray
+    gap: np.ndarray
+    basis: np.ndarray
+    mates: np.ndarray
+    cut_off: np.ndarray
+    free: np.ndarray
+    rim: np.ndarray
+    columns: np.ndarray
+    values: np.ndarray
+    counts: np.ndarray
 
 
 @cuda.jit(cache=True)
@@ -151,9 +182,9 @@ def contact_kernel(pair, batch, room, todo):  # type: ignore[no-untyped-def]
 
 
 @cuda.jit(cache=True)
-def force_kernel(pair, batch, room, todo):  # type: ignore[no-untyped-def]
-    """What the best squeeze of the candidates `todo` (M,) leaves unbalanced: residual."""
-    thread, threads = cuda.grid(1), room.gap.shape[0]
+def force_kernel(cone, batch, room, todo):  # type: ignore[no-untyped-def]
+    """What the best squeeze of the candidates `todo` (M,) leaves unbalanced: score."""
+    thread, threads = cuda.grid(1), room.f.shape[0]
     if thread < threads:
         y, trial, step = cuda.local.array(7, float64), cuda.local.array(7, float64), cuda.local.array(7, float64)
         gradient, column = cuda.local.array(7, float64), cuda.local.array(7, float64)
@@ -161,8 +192,25 @@ def force_kernel(pair, batch, room, todo):  # type: ignore[no-untyped-def]
         scratch = ForceScratch(room.f[thread], room.trial_f[thread], y, trial, step, gradient, column, hessian)
         for m in range(thread, todo.shape[0], threads):
             i = todo[m]
-            batch.residual[i] = grasp_residual(
-                pair, batch.points[i], batch.normals[i], batch.contacts[i], room.wrenches[thread], scratch
+            batch.score[i] = grasp_residual(
+                cone, batch.points[i], batch.normals[i], batch.contacts[i], room.wrenches[thread], scratch
+            )
+
+
+@cuda.jit(cache=True)
+def epsilon_kernel(cone, batch, room, todo):  # type: ignore[no-untyped-def]
+    """Epsilon of the candidates `todo` (M,), -1 where the work space is too small: score."""
+    thread, threads = cuda.grid(1), room.values.shape[0]
+    if thread < threads:
+        scratch = PolarScratch(
+            room.x[thread], room.squared[thread], room.gap[thread], room.basis[thread], room.mates[thread],
+            room.cut_off[thread], room.free[thread], room.rim[thread], room.columns[thread], room.values[thread],
+            room.counts[thread],
+        )  # fmt: skip
+        for m in range(thread, todo.shape[0], threads):
+            i = todo[m]
+            batch.score[i] = grasp_epsilon_within(
+                cone, batch.points[i], batch.normals[i], batch.contacts[i], room.wrenches[thread], scratch
             )
 
 
