@@ -93,3 +93,12 @@ def test_samples_spread_by_area():
     points = sample_triangles(triangles, 5000)
     assert (points[:, 0] < 5).mean() == pytest.approx(0.1, abs=0.01)
     np.testing.assert_allclose(points[points[:, 0] < 5].mean(axis=0), [1 / 3, 1 / 3, 0], atol=0.02)
+
+
+def test_fewer_vertices_of_a_wedge_whose_extremes_lie_in_a_plane():
+    """A shallow frustum over a rectangle: along every axis and space diagonal the rectangle's corners go farthest."""
+    along, across, up = np.array([1.0, -2.0, 0.0]), np.array([0.0, 0.0, 1.0]), np.array([0.09, 0.045, 0.0])
+    base = [a * along + b * across for a in (-1, 1) for b in (-1, 1)]
+    top = [0.3 * corner + up for corner in base]
+    kept, loss = fewer_vertices(0.05 * np.array(base + top), 7)
+    assert 5 <= len(kept) <= 7 and 0 <= loss < 0.005

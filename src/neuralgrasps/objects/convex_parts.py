@@ -125,7 +125,7 @@ def fewer_vertices(corners: np.ndarray, count: int) -> tuple[np.ndarray, float]:
     if len(corners) <= count:
         return corners, 0.0
     extremes = np.unique([*corners.argmin(axis=0), *corners.argmax(axis=0), *_corner_extremes(corners)])
-    chosen = list(extremes)
+    chosen = [*extremes, *_off_their_plane(corners, extremes)]
     while True:
         planes = ConvexHull(corners[chosen]).equations
         height = corners @ planes[:, :3].T + planes[:, 3]
@@ -139,6 +139,13 @@ def fewer_vertices(corners: np.ndarray, count: int) -> tuple[np.ndarray, float]:
         first = first[outside[first] > 2e-5]
         take = first[np.argsort(-outside[first], kind="stable")][: max(1, min(6, count - len(chosen)))]
         chosen += [int(i) for i in take]
+
+
+def _off_their_plane(corners: np.ndarray, chosen: np.ndarray) -> list[int]:
+    """The vertex farthest from the plane of the chosen ones, where these lie in one: a wedge's extremes may."""
+    centre = corners[chosen].mean(axis=0)
+    height = np.abs((corners - centre) @ np.linalg.svd(corners[chosen] - centre)[2][-1])
+    return [int(height.argmax())] if height[chosen].max() < 1e-7 else []
 
 
 def _corner_extremes(corners: np.ndarray) -> np.ndarray:
