@@ -63,6 +63,17 @@ def test_power_and_precision_grasps_come_in_the_share_asked_for(hands, solids, s
     assert (result.grasps.finger_count > 0).all()
 
 
+def test_other_protocols_are_stored_beside_the_one_that_decides(hands, solids):
+    config = replace(SMALL, also=("dexgraspbench-hard", "shake"))
+    grasps = synthesise(hands["panda"], solids["box"], config=config, seed=1).grasps
+    assert set(grasps.verdicts) == {"dexgraspbench", "dexgraspbench-hard", "shake"}
+    assert grasps.protocol == "dexgraspbench" and grasps.validated.all()
+    assert grasps.verdicts["dexgraspbench-hard"].parameters["friction"] == pytest.approx(0.3)
+    again = validate_grasps(hands["panda"], solids["box"], grasps, "shake")
+    np.testing.assert_array_equal(grasps.succeeded("shake"), again.success)
+    np.testing.assert_array_equal(grasps.verdicts["shake"].displacement_m, again.displacement_m)
+
+
 def test_a_jaw_has_one_kind_of_grasp(hands, solids):
     either = synthesise(hands["panda"], solids["box"], config=replace(SMALL, power_share=1.0), seed=2)
     assert either.converged

@@ -132,7 +132,8 @@ def pair_key(hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int) -
 
 
 def _key(of_hand: str, of_object: str, config: SynthesisConfig, seed: int) -> str:
-    return fingerprint((neuralgrasps.__version__, of_hand, of_object, config, get_protocol(config.protocol), seed))
+    protocols = tuple(get_protocol(name) for name in (config.protocol, *config.also))
+    return fingerprint((neuralgrasps.__version__, of_hand, of_object, config, protocols, seed))
 
 
 def _check_names(kind: str, names: Sequence[str]) -> None:

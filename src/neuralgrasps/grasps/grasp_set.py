@@ -275,9 +275,9 @@ class GraspSet:
             raise unknown_name("verdict", protocol, self.verdicts)
         return self.verdicts[protocol].success
 
-    def with_verdict(self, name: str, verdict: Verdict) -> GraspSet:
-        """A copy with the verdict of protocol `name` added or replaced; `validated` reads it from now on."""
-        return replace(self, verdicts={**self.verdicts, name: verdict}, protocol=name)
+    def with_verdict(self, name: str, verdict: Verdict, *, decides: bool = True) -> GraspSet:
+        """A copy with the verdict of protocol `name` added or replaced; if it `decides`, `validated` reads it then."""
+        return replace(self, verdicts={**self.verdicts, name: verdict}, protocol=name if decides else self.protocol)
 
     def with_config(self, **entries: str) -> GraspSet:
         """A copy with provenance entries added or replaced."""

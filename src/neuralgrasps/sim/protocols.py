@@ -118,14 +118,14 @@ PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
         "dexgraspbench-hard": replace(_DEXGRASPBENCH, name="dexgraspbench-hard", friction_scale=0.5),
         # The same, each force ended once nothing moves: 2 to 5 times cheaper; of 1542 grasps it passes, 2 fail in full.
         "dexgraspbench-quick": replace(_DEXGRASPBENCH, name="dexgraspbench-quick", settled_speed=0.01),
-        # The object's own weight and friction, the forces one after the other without letting go in between, 2 cm.
+        # The object's own weight and friction, six directions of 1 s without letting go in between, 2 cm.
         "shake": replace(
             _DEXGRASPBENCH,
             name="shake",
             object_mass_kg=None,
             friction=None,
             force_per_mass=9.81,
-            hold_s=0.5,
+            hold_s=1.0,
             from_reset=False,
             max_displacement_m=0.02,
         ),

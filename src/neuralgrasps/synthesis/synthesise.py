@@ -43,6 +43,7 @@ class SynthesisConfig:
         batch: start poses drawn at once; a round draws up to `draws` batches, until it has `pool` valid candidates per
             grasp still wanted; max_rounds: rounds before giving up.
         protocol: physics protocol that decides (see `sim.protocols`).
+        also: other protocols whose verdicts are stored with the grasps; they decide nothing.
         friction: Coulomb coefficient for epsilon and the squeeze; torsion_m: torsional friction, metres. None takes the
             protocol's on this object; `grasps.config` records the values used.
         max_penetration_m: a grasp that overlaps the object by more at points of either surface 2 mm apart, or itself at
@@ -61,12 +62,13 @@ class SynthesisConfig:
     pool: float = 5.0
     max_rounds: int = 12
     protocol: str = "dexgraspbench"
+    also: tuple[str, ...] = ()
     friction: float | None = None
     torsion_m: float | None = None
     max_penetration_m: float = 0.5e-3
     contact_threshold_m: float = 2.5e-3
     power_share: float | None = None
-    spare: float = 1.5
+    spare: float = 1.25
     generations: int = 3
     children: int = 8
     pad_depth_m: float = 0.012
@@ -80,7 +82,8 @@ class SynthesisConfig:
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise InputError(f"synthesis: {name} is {value}; expected 0 or more.")
-        get_protocol(self.protocol)
+        for name in (self.protocol, *self.also):
+            get_protocol(name)
         if self.power_share is not None and not 0 <= self.power_share <= 1:
             raise InputError(f"synthesis: power_share is {self.power_share}; expected a share from 0 to 1, or None.")
         if self.friction is not None and not 0 < self.friction < 5:
@@ -169,10 +172,13 @@ def synthesise(
                 progress(quotas.held, config.count)
         if quotas.complete or (round_index >= 2 and outcomes[VALID] == 0):
             break
-    if quotas.kept:
+    grasps = empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
+    if quotas.held:
         grasps = _in_diverse_order(hand, concatenate(quotas.kept))
-    else:
-        grasps = empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
+        with watch.stage("other protocols"):
+            for name in config.also:
+                verdict = validate_grasps(hand, obj, grasps, name, threads=threads)
+                grasps = grasps.with_verdict(name, verdict, decides=False)
     return SynthesisResult(
         grasps=grasps,
         converged=quotas.complete,
