@@ -24,6 +24,7 @@ from neuralgrasps.hands.closing import (
     unit,
 )
 from neuralgrasps.hands.contact import SelfContact, doubts
+from neuralgrasps.hands.efforts import limit_efforts
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.linkages import tips_stay_parallel
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
@@ -79,7 +80,8 @@ def complete_notes(
     else:
         notes, guessed = _from_symmetry(model, radial, given)
     warning = _warning(model, contact, notes, 1.0 if radial is None else radial.certainty)
-    return notes, _sentences(tree, given, notes, guessed) + warning
+    notes, efforts = limit_efforts(model, notes)
+    return notes, _sentences(tree, given, notes, guessed) + efforts + warning
 
 
 def _working_ranges(tree: KinematicTree) -> KinematicTree:

@@ -9,7 +9,8 @@ from neuralgrasps.hands.notes import HandNotes
 from neuralgrasps.hands.radial import alike
 
 PRESHAPE_SHARE = 0.45  # of the way from open to closed
-LATE_MEETING, SAME_WAY = 0.03, 0.02  # metres of gap that a last-moment, or an unopposed, meeting is worth
+LATE_MEETING, SAME_WAY = 0.05, 0.03  # metres of gap that a last-moment, or an unopposed, meeting is worth
+HELD_WIDTH = 0.035  # metres: tips that pass each other no farther apart hold an object of everyday size between them
 _GRID = 7
 
 
@@ -89,6 +90,7 @@ def _meeting_cost(tips: np.ndarray, thumb: int) -> np.ndarray:
     """
     own, others = tips[:, :, thumb : thumb + 1], np.delete(tips, thumb, axis=2)
     gaps = np.sort(np.linalg.norm(others - own, axis=3), axis=2)[:, 1:, :2].mean(axis=2)
+    gaps = np.maximum(gaps - HELD_WIDTH, 0.0)
     u, v = np.diff(own, axis=1)[:, :, 0], np.diff(others, axis=1).mean(axis=2)
     speeds = np.linalg.norm(u, axis=2) * np.linalg.norm(v, axis=2)
     agreement = (u * v).sum(axis=2) / np.maximum(speeds, 1e-12)
