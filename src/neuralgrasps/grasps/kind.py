@@ -39,12 +39,14 @@ def contact_kinds(hand: Hand, contact_links: np.ndarray) -> ContactKinds:
     touched = contact_links >= 0
     links = np.where(touched, contact_links, 0)
     finger = np.where(touched, owner[links], -2)
-    counts = [((finger == i).any(axis=1)) for i in range(len(hand.fingers))]
-    any_contact = touched.any(axis=1)
+    fingers = np.zeros(len(links), np.int32)
+    for i in range(len(hand.fingers)):
+        fingers += (finger == i).any(axis=1)
+    on_tips = np.logical_or(tip[links], ~touched)
     return ContactKinds(
         palm_contact=(finger == -1).any(axis=1),
-        finger_count=np.sum(counts, axis=0, dtype=np.int32) if counts else np.zeros(len(links), np.int32),
-        precision=any_contact & (tip[links] | ~touched).all(axis=1),
+        finger_count=fingers,
+        precision=np.logical_and(touched.any(axis=1), on_tips.all(axis=1)),
     )
 
 
