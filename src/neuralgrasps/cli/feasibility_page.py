@@ -84,7 +84,9 @@ def _key_figures(pairs: Sequence[PairSummary], drawn: Sequence[SheetPair]) -> tu
         KeyFigure(value=f"{full} of {len(pairs)}", label="pairs have as many as wanted"),
     ]  # fmt: skip
     if tried:
-        figures.append(KeyFigure(value=f"{100 * held / tried:.0f} %", label="of those tried held", note=f"{tried} tried"))
+        figures.append(
+            KeyFigure(value=f"{100 * held / tried:.0f} %", label="of those tried held", note=f"{tried} tried")
+        )
     if len(depth):
         figures.append(
             KeyFigure(
