@@ -11,6 +11,7 @@ from neuralgrasps.hands.notes import HandNotes
 
 STRONG_TIP_N = 20.0  # more throws a can out of the fingers; robot fingers press with 5 to 15 N
 WEAK_TIP_N = 0.5
+MARGIN = 1.25  # nobody minds a quarter more
 MIN_LEVER = 0.015  # metres
 BENT = 0.4  # of the way to closed: joints that turn a straight finger about itself have their lever there
 
@@ -36,7 +37,7 @@ def limit_efforts(model: MovableHand, notes: HandNotes) -> tuple[HandNotes, tupl
             continue
         levers = np.maximum(_levers(model, j, q_open), _levers(model, j, q_bent))
         most = STRONG_TIP_N * float(levers.sum())
-        if tree.effort[j] > most:
+        if tree.effort[j] > MARGIN * most:
             joints[name] = replace(joints[name], effort=most)
             lowered.append(f"{name} {tree.effort[j]:.3g} to {most:.2g}")
         elif joints[name].close and len(levers) and tree.effort[j] < WEAK_TIP_N * float(levers.sum()):
