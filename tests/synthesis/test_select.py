@@ -77,3 +77,15 @@ def test_the_half_turned_copy_of_a_jaw_grasp_comes_last(hands):
     assert pytest.approx(0.0, abs=1e-9) == np.linalg.norm(
         grasp_features(hand, X[[0]], np.full((1, 1), 0.02)) - grasp_features(hand, X[[10]], np.full((1, 1), 0.02))
     )
+
+
+def test_quality_decides_between_grasps_that_are_as_new(hands):
+    hand = hands["panda"]
+    X_OH = np.tile(np.eye(4), (4, 1, 1))
+    X_OH[:, 0, 3] = [0.0, 0.10, 0.105, 0.05]
+    q = np.tile(hand.q_open, (4, 1))
+    plain = diverse_order(hand, X_OH, q, start=0, count=2)
+    assert plain.tolist() == [0, 2]
+    weighted = diverse_order(hand, X_OH, q, start=0, count=4, quality=np.array([1.0, 1.0, 0.5, 1.0]))
+    assert weighted.tolist()[:3] == [0, 1, 3]
+    assert sorted(weighted.tolist()) == [0, 1, 2, 3]

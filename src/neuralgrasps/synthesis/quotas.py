@@ -11,11 +11,10 @@ from typing import Literal
 import numpy as np
 
 from neuralgrasps.grasps.grasp_set import GraspSet
-from neuralgrasps.grasps.kind import contact_kinds
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.synthesis.candidates import Candidates, GraspProblem
-from neuralgrasps.synthesis.finish import contacts_of
+from neuralgrasps.synthesis.finish import kinds_of
 
 Kind = Literal["any", "power", "precision"]
 
@@ -82,8 +81,7 @@ class Quotas:
         """Candidates by kind, for the kinds that are missing."""
         if "any" in self._missing or len(valid) == 0:
             return dict.fromkeys((kind for kind, missing in self._missing.items() if missing), valid)
-        links = contacts_of(problem, valid.X_OH, forward_fast(self._hand.tree, valid.q))[2]
-        precision = contact_kinds(self._hand, links).precision
+        precision = kinds_of(problem, valid.X_OH, forward_fast(self._hand.tree, valid.q)).precision
         masks: dict[Kind, np.ndarray] = {"power": ~precision, "precision": precision}
         return {kind: valid.take(masks[kind]) for kind, missing in self._missing.items() if missing}
 

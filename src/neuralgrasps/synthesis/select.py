@@ -41,14 +41,14 @@ def diverse_order(
 ) -> np.ndarray:
     """Indices (count,) of grasps in farthest-point order, beginning with grasp `start`.
 
-    With `quality` (N,), > 0, distances count in proportion to its square root: of two grasps that are as new, the
-    better one comes first, and a poor one only where nothing else is near.
+    With `quality` (N,), > 0, distances count in proportion to it: of two grasps that are as new, the better one comes
+    first, and a poor one only where nothing else is near.
     """
     features = grasp_features(hand, X_OH, q)
     wanted = len(features) if count is None else min(count, len(features))
     if quality is None:
         return farthest_points(features, wanted, start=start)
-    return _farthest_weighted(features, np.sqrt(np.maximum(quality, 0.0)), wanted, start)
+    return _farthest_weighted(features, np.maximum(quality, 0.0), wanted, start)
 
 
 def _farthest_weighted(features: np.ndarray, weight: np.ndarray, count: int, start: int) -> np.ndarray:
