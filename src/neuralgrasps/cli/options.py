@@ -18,6 +18,7 @@ OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_h
 OptionalFloat = Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint=_NO_DEFAULT)]
 Workers = Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="(default: all cores)")]
 Names = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE ...", help_behavior_hint="(default: none)")]
+Protocols = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...")]
 AllNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE ...", help_behavior_hint="(default: all)")]
 NamePath = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 PositionalFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]

@@ -6,12 +6,12 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from neuralgrasps.cli.models import source_text, warn_of_damage
-from neuralgrasps.cli.options import AllNames, OptionalFile, OptionalFloat, OptionalText, Unit, Workers
+from neuralgrasps.cli.options import AllNames, OptionalFile, OptionalFloat, OptionalText, Protocols, Unit, Workers
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
@@ -37,6 +37,9 @@ def synthesise(
     count: int = 60,
     seed: int = 0,
     protocol: str = "dexgraspbench",
+    also: Protocols = ("dexgraspbench-hard", "shake"),
+    power_share: OptionalFloat = None,
+    device: Literal["cpu", "cuda"] = "cpu",
     out: OutFile = None,
     report: OptionalFile = None,
     unit: Unit = "auto",
@@ -60,6 +63,9 @@ def synthesise(
         count: grasps wanted per pair.
         seed: the same seed gives the same grasps.
         protocol: physics trial that decides: dexgraspbench, dexgraspbench-hard or shake.
+        also: other trials whose verdicts are stored with the grasps; --also alone stores none.
+        power_share: share of power grasps, 0 to 1, of hands with fingers; the others touch with fingertips only.
+        device: where candidates are closed and judged; cuda needs an NVIDIA GPU and the extra 'gpu'.
         out: file for the grasps of one pair.
         report: HTML page with pictures of the grasps.
         unit: length unit of mesh files; auto takes over 3 units for mm.
@@ -69,13 +75,16 @@ def synthesise(
         hands: with --all, these hands.
         objects: with --all, these objects: names, mesh files, folders of mesh files.
         out_dir: with --all, the folder for the grasps.
-        workers: processes.
+        workers: processes; of one pair, threads.
     """
     from neuralgrasps.sim.protocols import get_protocol
     from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
     get_protocol(protocol)
-    config = SynthesisConfig(count=count, protocol=protocol, max_rounds=max_rounds)
+    others = tuple(dict.fromkeys(name for name in also if name != protocol))
+    config = SynthesisConfig(
+        count=count, protocol=protocol, also=others, power_share=power_share, device=device, max_rounds=max_rounds
+    )
     many = every or bool(hands) or bool(objects)
     _check_choice(many, hand=hand, object_name=object_name, out=out, out_dir=out_dir, workers=workers)
     if report is not None:
@@ -96,7 +105,7 @@ def synthesise(
 
         model, obj = load_hand(hand), load_object(object_name, unit=unit, mass_kg=mass_kg)
     warn_of_damage(terminal, [obj])
-    result, wall_s, cpu_s = _timed(terminal, model, obj, config, seed)
+    result, wall_s, cpu_s = _timed(terminal, model, obj, config, seed, workers)
     depth_m = _overlap(terminal, model, obj, result)
     record = _pair_figures(result, config, depth_m, wall_s=wall_s, cpu_s=cpu_s)
     if len(result.grasps):
@@ -146,14 +155,15 @@ def _check_choice(
 
 
 def _timed(
-    terminal: Terminal, hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int
+    terminal: Terminal, hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int, threads: int | None
 ) -> tuple[SynthesisResult, float, float]:
     """The result, and its wall and CPU seconds."""
+    from neuralgrasps.parallel import available_cpus
     from neuralgrasps.synthesis.synthesise import synthesise as run
 
     wall, cpu = time.perf_counter(), time.process_time()
     with terminal.progress(f"{hand.name} on {obj.name}", "grasps") as bar:
-        result = run(hand, obj, config=config, seed=seed, progress=bar)
+        result = run(hand, obj, config=config, seed=seed, threads=threads or available_cpus(), progress=bar)
     return result, time.perf_counter() - wall, time.process_time() - cpu
 
 
@@ -194,6 +204,8 @@ def _show_pair(terminal: Terminal, record: Mapping[str, Any], obj: ObjectModel) 
         ("geometrically valid", record["valid_candidates"]),
         ("tried in physics", f"{record['tried_in_physics']}{held} ({record['protocol']})"),
     ]
+    if record["also_held"]:
+        facts.append(("of these also held", ", ".join(f"{100 * v:.0f} % {n}" for n, v in record["also_held"].items())))
     if record["validated"]:
         if record["precision"] + record["power"]:
             facts.append(("precision, power", f"{record['precision']}, {record['power']}"))

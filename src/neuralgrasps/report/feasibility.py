@@ -33,6 +33,7 @@ class PairSummary:
         epsilon_median: Ferrari-Canny quality. force_residual_median: net wrench of the best unit squeeze.
         penetration_p95_mm, penetration_max_mm: overlap of hand and object, as `measured_penetration` finds it.
         precision, power: grasps of either kind.
+        also_held: share of the grasps that hold another protocol too, by its name.
         cpu_s: CPU-seconds. reason: why fewer than wanted; shortfall: the same in a word or three, "" when none.
     """
 
@@ -50,6 +51,7 @@ class PairSummary:
     penetration_max_mm: float
     precision: int
     power: int
+    also_held: Mapping[str, float]
     cpu_s: float
     shortfall: str
     reason: str
@@ -79,6 +81,7 @@ def summarise_pair(grasps: GraspSet, record: PairRecord, depth_m: np.ndarray) ->
         penetration_max_mm=_percentile(depth_m, 100) * 1e3,
         precision=int((grasps.precision & labelled).sum()),
         power=int((~grasps.precision & labelled).sum()),
+        also_held={n: float(v.success.mean()) for n, v in grasps.verdicts.items() if n != grasps.protocol and len(v)},
         cpu_s=record.cpu_s,
         shortfall=shortfall_kind(record.reason) or ("fewer than wanted" if record.reason else ""),
         reason=record.reason,
@@ -94,11 +97,16 @@ def write_feasibility(folder: Path, pairs: Sequence[PairSummary], about: Mapping
         StorageError: the folder cannot be written.
     """
     rows = [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(p).items()} for p in pairs]
+    others = {f"held_{name}": name for p in pairs for name in p.also_held}
+    flat = [
+        row | {key: p.also_held.get(name) for key, name in others.items()} for row, p in zip(rows, pairs, strict=True)
+    ]
+    columns = [f.name for f in fields(PairSummary) if f.name != "also_held"] + list(others)
     text = json.dumps({**about, "pairs": rows}, indent=1, allow_nan=False) + "\n"
     table = io.StringIO()
-    writer = csv.DictWriter(table, [f.name for f in fields(PairSummary)], lineterminator="\n")
+    writer = csv.DictWriter(table, columns, extrasaction="ignore", lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows(flat)
     paths = folder / JSON_FILE, folder / CSV_FILE
     write_whole(paths[0], text)
     write_whole(paths[1], table.getvalue())
