@@ -12,7 +12,7 @@ from neuralgrasps.hands.zoo import load_hand
 from .wild_hands import WILD_HANDS
 
 
-@pytest.mark.parametrize("name", ["two_slides", "linkage_jaw", "five_fingers", "untidy_claw"])
+@pytest.mark.parametrize("name", ["two_slides", "wristed_jaw", "linkage_jaw", "five_fingers", "untidy_claw"])
 def test_written_notes_give_the_hand_back(tmp_path, name):
     path = WILD_HANDS[name](tmp_path).path
     derived = load_hand(path)

@@ -39,7 +39,8 @@ def test_everything_derived_is_right(wild):
     for name, effort in wild.efforts.items():
         assert hand.tree.effort[hand.tree.dof_names.index(name)] == pytest.approx(effort)
     _check_preshapes(hand)
-    _check_closing_brings_tips_together(hand)
+    if wild.fingers > 1:
+        _check_closing_brings_tips_together(hand)
 
 
 def _check_preshapes(hand: Hand) -> None:

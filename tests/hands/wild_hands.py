@@ -312,10 +312,35 @@ def jaw_on_arm(folder: Path) -> Wild:
     )  # fmt: skip
 
 
+def wristed_jaw(folder: Path) -> Wild:
+    """A wrist that rolls, then two sliders without coupling, OBJ meshes, collision only, facing -x."""
+    robot = new_robot(folder, "wristed_jaw", mesh_as="obj")
+    robot.link("stand", robot.cylinder(0.03, 0.05, (0.1, 0, 0), rpy=(0, QUARTER, 0)))
+    robot.link("body", robot.box((0.06, 0.12, 0.05), (0.03, 0, 0)))
+    robot.joint("roll", "stand", "body", axis=(1, 0, 0), limits=(-3.1, 3.1), effort=5)
+    for name, side in (("left", 1.0), ("right", -1.0)):
+        robot.link(f"{name}_pad", robot.box((0.06, 0.01, 0.02), (-0.03, 0.005 * side, 0)))
+        robot.joint(f"{name}_slide", "body", f"{name}_pad", kind="prismatic", axis=(0, 1, 0),
+                    limits=(0, 0.04) if side > 0 else (-0.04, 0), effort=25)  # fmt: skip
+    return Wild(
+        path=robot.write(), normal=np.array([-1.0, 0, 0]), fingers=2, closing={"roll": 0, "left_slide": -1},
+        is_jaw=True, said=("were coupled",), efforts={"left_slide": 25.0},
+    )  # fmt: skip
+
+
+def vise(folder: Path) -> Wild:
+    """One jaw that swings against one that is part of the base, as on small table-top arms; facing +z."""
+    robot = new_robot(folder, "vise", mesh_as="stl", millimetres=True)
+    robot.link("body", robot.box((0.05, 0.06, 0.05), (0, 0, -0.025)), robot.box((0.01, 0.03, 0.09), (0.025, 0, 0.045)))
+    robot.link("jaw", robot.box((0.01, 0.03, 0.09), (0, 0, 0.045)))
+    robot.joint("jaw_joint", "body", "jaw", (-0.015, 0, 0.0), axis=(0, 1, 0), limits=(-1.2, 0.2), effort=2)
+    return Wild(path=robot.write(), normal=np.array([0, 0, 1.0]), fingers=1, closing={"jaw_joint": 1})
+
+
 WILD_HANDS: dict[str, Callable[[Path], Wild]] = {
     f.__name__: f
     for f in (
         two_slides, rising_jaw, linkage_jaw, three_adaptive, four_dexterous, five_fingers, one_motor, untidy_claw,
-        two_claws, tendon_hand, jaw_on_arm,
+        two_claws, tendon_hand, jaw_on_arm, wristed_jaw, vise,
     )
 }  # fmt: skip

@@ -26,7 +26,7 @@ from neuralgrasps.hands.closing import (
 from neuralgrasps.hands.contact import SelfContact, doubts
 from neuralgrasps.hands.efforts import limit_efforts
 from neuralgrasps.hands.hand import ConvexPart
-from neuralgrasps.hands.linkages import tips_stay_parallel
+from neuralgrasps.hands.jaws import has_jaw_motion, jaw_pad
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
 from neuralgrasps.hands.opening import lean_outwards
 from neuralgrasps.hands.radial import RadialHand, radial_hand
@@ -43,7 +43,6 @@ from neuralgrasps.kinematics.tree import KinematicTree
 
 HALF_CLOSED = 0.5
 WIDE_SPREAD = 1.5  # rad: a sideways joint with more range than this is a spread to choose freely
-PAD_LENGTH = 0.02  # metres of a jaw's finger taken as its pad
 FREE_RANGE, QUARTER_TURN = 4.5, np.pi / 2  # rad: a wider joint has no real limits; it is used this far either way
 SIDEWAYS_MARGIN = 0.2  # rad: how far joints across the closing direction stray in a preshape of equal fingers
 UNCLEAR_SIDE = 0.1
@@ -71,7 +70,7 @@ def complete_notes(
     model = movable_hand(name, _working_ranges(tree), parts, given)
     contact = SelfContact(model, parts)
     radial = None
-    if not (_has_jaw_motion(model) if given.is_jaw is None else given.is_jaw):
+    if not (has_jaw_motion(model) if given.is_jaw is None else given.is_jaw):
         radial = radial_hand(model, contact, normal_H=None if given.X_HP is None else given.X_HP[:3, 2])
     if radial is None:
         notes, guessed = _from_motion(
@@ -103,14 +102,14 @@ def _from_motion(
     if has_free_joints:  # they have no ends, but the fingers meet somewhere
         q_closed = contact.last_free(q_open, q_closed)
     normal = _palm_normal(model, q_open, q_closed) if given.X_HP is None else given.X_HP[:3, 2]
-    is_jaw = _has_jaw_motion(model) if given.is_jaw is None else given.is_jaw
+    is_jaw = has_jaw_motion(model) if given.is_jaw is None else given.is_jaw
     thumb = find_thumb(model, q_open, q_closed, normal) if given.fingers is None and not is_jaw else given_thumb(given)
     if not is_jaw:
         q_open = lean_outwards(model, contact, closing, q_open, q_closed, normal)
     if not is_jaw and thumb is not None:
         q_open, q_closed = oppose_thumb(model, closing, thumb, q_open, q_closed)
     pad = (
-        _jaw_pad(model, q_open + HALF_CLOSED * (q_closed - q_open), normal)
+        jaw_pad(model, q_open + HALF_CLOSED * (q_closed - q_open), normal)
         if is_jaw and given.jaw_pad_H is None
         else given.jaw_pad_H
     )
@@ -205,38 +204,6 @@ def _palm_normal(model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray) -
     return candidates[int(np.argmax(candidates @ (outwards + inwards)))].copy()
 
 
-def _has_jaw_motion(model: MovableHand) -> bool:
-    """Two fingers on one joint whose tips slide, or are swung without turning, straight towards each other."""
-    tree = model.tree
-    if len(model.fingers) != 2 or tree.num_dofs != 1:
-        return False
-    closing = closing_shares(model)
-    q_open, q_closed = open_and_closed(model, closing)
-    if not closing[0] or not tips_stay_parallel(tree, model.tip_link, q_open, q_closed):
-        return False
-    first, second = model.tips(q_closed) - model.tips(q_open)
-    across = unit(model.tips(q_open)[1] - model.tips(q_open)[0])
-    along = unit(first + second)
-    first, second = (m - (m @ along) * along for m in (first, second))  # swung tips also move out of the palm
-    return bool(unit(first) @ unit(second) < -0.95 and abs(unit(first) @ across) > 0.9)
-
-
-def _jaw_pad(model: MovableHand, q: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Middle between the inner faces of two fingers, over the outer `PAD_LENGTH` of the fingers, in H."""
-    tips = model.tips(q)
-    across = unit(tips[1] - tips[0])
-    faces = []
-    for f, finger in enumerate(model.fingers):
-        points, normals = model.cloud_H(finger, q)
-        inner = normals @ across * (1.0 if f == 0 else -1.0) > 0.9
-        points = points[inner] if inner.any() else tips[f : f + 1]
-        height = points @ normal
-        end = points[height > height.max() - PAD_LENGTH]
-        middle = (end.min(axis=0) + end.max(axis=0)) / 2
-        faces.append(middle + (height.max() - PAD_LENGTH / 2 - middle @ normal) * normal)
-    return (faces[0] + faces[1]) / 2
-
-
 def _palm(
     model: MovableHand, q_open: np.ndarray, q_closed: np.ndarray, normal: np.ndarray, pad: np.ndarray | None
 ) -> np.ndarray:
@@ -259,40 +226,6 @@ def _on_palm(model: MovableHand, q: np.ndarray, point_H: np.ndarray, normal: np.
     beside = np.linalg.norm(offset - np.outer(offset @ normal, normal), axis=1) < 0.025
     height = (offset[beside] if beside.any() else offset) @ normal
     return point_H + height.max() * normal if len(height) else point_H
-
-
-def couple_jaw(
-    name: str, tree: KinematicTree, parts: Sequence[ConvexPart], given: HandNotes
-) -> tuple[KinematicTree, tuple[str, ...]]:
-    """One joint for a jaw whose two fingers slide independently in the file, as many grippers are described.
-
-    The first joint remains; the second follows it millimetre by millimetre, closed where the first is closed.
-
-    Returns:
-        the tree (changed or not), and one sentence if it was changed.
-    """
-    if tree.num_dofs != 2 or not sliding_joints(tree).all() or given.is_jaw is False or len(given.joints) > 1:
-        return tree, ()
-    model = movable_hand(name, tree, parts, given)
-    closing = closing_shares(model)
-    if len(model.fingers) != 2 or not closing.all():
-        return tree, ()
-    opening = -np.sign(closing)
-    closed = np.where(opening > 0, tree.lower, tree.upper)
-    slope = float(opening[0] * opening[1])
-    constant = float(closed[1] - slope * closed[0])  # second = slope * first + constant
-    ends = sorted((float(closed[0]), float(closed[0] + opening[0] * (tree.upper - tree.lower).min())))
-    coupled = replace(
-        tree,
-        coupling=tree.coupling[:, :1] + slope * tree.coupling[:, 1:],
-        offset=tree.offset + constant * tree.coupling[:, 1],
-        dof_names=tree.dof_names[:1],
-        lower=np.array(ends[:1]),
-        upper=np.array(ends[1:]),
-        effort=tree.effort[:1],
-    )
-    first, second = tree.dof_names
-    return coupled, (f"joints '{first}' and '{second}' were coupled: both fingers of a jaw move together.",)
 
 
 # -- notes -----------------------------------------------------------------------

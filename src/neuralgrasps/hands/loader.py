@@ -10,9 +10,10 @@ import numpy as np
 from neuralgrasps.errors import MeshError, RobotDescriptionError, unknown_name
 from neuralgrasps.geometry.mesh import Mesh, convex_hull
 from neuralgrasps.geometry.sampling import farthest_points
-from neuralgrasps.hands.annotate import complete_notes, couple_jaw
+from neuralgrasps.hands.annotate import complete_notes
 from neuralgrasps.hands.chains import moved_links
 from neuralgrasps.hands.hand import ConvexPart, Finger, Hand, PartKind
+from neuralgrasps.hands.jaws import couple_jaw
 from neuralgrasps.hands.notes import HandNotes, JointNotes
 from neuralgrasps.kinematics.description import LinkGeometry, RobotDescription
 from neuralgrasps.kinematics.tree import KinematicTree
