@@ -193,12 +193,13 @@ def one_motor(folder: Path) -> Wild:
                 (0.002, y, 0) if k == 0 else (lengths[0], 0, 0), axis=(0, -1, 0), limits=(0, 1.4), effort=3,
                 mimic=None if (name, k) == ("index", 0) else ("index_joint_0", 1.0, 0.0),
             )  # fmt: skip
-    robot.link("thumb_0", robot.box((0.045, 0.018, 0.018), (0.022, 0, 0)))
-    robot.joint("thumb_joint_0", "palm", "thumb_0", (-0.045, 0.04, 0.022), (0, 0.5, 0.5), axis=(0, -0.6, -0.8),
-                limits=(0, 1.0), effort=3, mimic=("index_joint_0", 0.6, 0.0))  # fmt: skip
-    robot.link("thumb_1", robot.box((0.035, 0.016, 0.016), (0.018, 0, 0)))
-    robot.joint("thumb_joint_1", "thumb_0", "thumb_1", (0.046, 0, 0), axis=(0, 0, -1),
-                limits=(0, 1.0), effort=3, mimic=("index_joint_0", 0.6, 0.0))  # fmt: skip
+    for k in range(2):
+        robot.link(f"thumb_{k}", robot.box((0.016, 0.018, 0.04), (0, 0, 0.021)))
+        robot.joint(
+            f"thumb_joint_{k}", "palm" if k == 0 else "thumb_0", f"thumb_{k}",
+            (-0.06, 0.015, 0.0125) if k == 0 else (0, 0, 0.042), (0, -0.5 if k == 0 else 0.0, 0), axis=(0, 1, 0),
+            limits=(0, 1.0), effort=3, mimic=("index_joint_0", 0.6, 0.0),
+        )  # fmt: skip
     return Wild(path=robot.write(), normal=np.array([0, 0, 1.0]), fingers=5, closing=closing, thumb="thumb_0",
                 said=("turned 1 inside-out",))  # fmt: skip
 
