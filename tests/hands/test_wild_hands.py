@@ -109,3 +109,14 @@ def test_the_gripper_of_a_whole_robot_is_found(assets, all_hands):
     assert hand.X_HP[:3, 2] == pytest.approx(ours.X_HP[:3, 2], abs=1e-6)
     assert "link 'gripper_link' and what hangs on it was taken" in hand.extra["repairs"]
     assert hand.jaw_pad_H == pytest.approx(ours.jaw_pad_H, abs=0.02)
+
+
+def test_upright_opposing_fingers_open_wider_than_straight(tmp_path):
+    """Straight up, the tips of this hand are 50 mm apart: too little for a can of 66 mm."""
+    hand = load_hand(WILD_HANDS["three_adaptive"](tmp_path).path)
+    X = forward_numpy(hand.tree, hand.q_open)
+    tips = np.array([X[f.links[-1], :3, 3] for f in hand.fingers])
+    thumb = next(i for i, f in enumerate(hand.fingers) if f.is_thumb)
+    across = (tips[thumb] - np.delete(tips, thumb, axis=0)) @ hand.X_HP[:3, 0]
+    assert np.abs(across).min() > 0.1
+    assert hand.preshape_lower[hand.closing_rate > 0].max() < -0.2
