@@ -13,7 +13,7 @@ def _tips(hand):
 @pytest.mark.parametrize("name", hand_names())
 def test_fingertips_alone_are_a_precision_grasp(name):
     hand = load_hand(name)
-    links = np.array([_tips(hand) + [-1, -1]])
+    links = np.array([[*_tips(hand), -1, -1]])
     kinds = contact_kinds(hand, links)
     assert kinds.precision.tolist() == [True]
     assert kinds.palm_contact.tolist() == [False]

@@ -31,6 +31,7 @@ from neuralgrasps.synthesis.quotas import Kind, Quotas, Stopwatch
 from neuralgrasps.synthesis.refine import assess_all, refine
 from neuralgrasps.synthesis.select import diverse_order
 
+_LENGTHS = ("contact_threshold_m", "max_penetration_m", "torsion_m", "pad_depth_m")
 _MORE_NICHES = 8  # besides those in proportion to the grasps wanted
 
 
@@ -75,10 +76,10 @@ class SynthesisConfig:
     device: Device = "cpu"
 
     def __post_init__(self) -> None:
-        for name in ("count", "batch", "draws", "max_rounds", "spare", "children"):
+        for name in ("count", "batch", "draws", "max_rounds", "children"):
             if getattr(self, name) < 1:
                 raise InputError(f"synthesis: {name} is {getattr(self, name)}; expected at least 1.")
-        for name in ("contact_threshold_m", "max_penetration_m", "pool", "generations", "torsion_m", "pad_depth_m"):
+        for name in (*_LENGTHS, "pool", "spare", "generations"):
             value = getattr(self, name)
             if value is not None and not value >= 0:
                 raise InputError(f"synthesis: {name} is {value}; expected 0 or more.")
