@@ -15,7 +15,7 @@ INNER = 1e3
 
 def search(wrenches, vertices=20_000):
     scratch = polar_scratch(len(wrenches), vertices)
-    scratch.columns[:] = wrenches.T
+    scratch.columns[:] = wrenches.T / np.abs(wrenches).max()
     return scratch, *farthest_vertex(scratch, len(wrenches), INNER, 0.0)
 
 
@@ -55,7 +55,7 @@ def test_the_search_leaves_a_closed_surface_of_tight_facets_behind(contacts):
                 other = scratch.basis[8 * (mates[v, j] >> 3) : 8 * (mates[v, j] >> 3) + 6]
                 shared = set(np.delete(rows[v], j))
                 assert shared == set(np.delete(other, mates[v, j] & 7))
-        spans = points_of(wrenches, rows)  # (F, 6, 6)
+        spans = points_of(wrenches / np.abs(wrenches).max(), rows)  # (F, 6, 6)
         tight = np.einsum("fjk,kf->fj", spans, scratch.x[:, live])
         np.testing.assert_allclose(tight, 1.0, atol=1e-9)  # so each facet's plane is 1 / |x| from the origin
         assert np.sqrt(scratch.squared[live]).max() == reach
@@ -66,7 +66,7 @@ def test_the_surface_that_is_left_surrounds_the_origin_once(contacts):
     for wrenches in cases(contacts)[4:]:
         scratch, _, _ = search(wrenches)
         _, rows = facets(scratch)
-        spans = points_of(wrenches, rows)
+        spans = points_of(wrenches / np.abs(wrenches).max(), rows)
         spans = spans[np.abs(np.linalg.det(spans)) > 1e-12 * np.abs(np.linalg.det(spans)).max()]
         directions = rng.standard_normal((6, 200))
         weights = np.linalg.solve(np.swapaxes(spans, 1, 2), np.broadcast_to(directions, (len(spans), 6, 200)))
@@ -81,6 +81,8 @@ def test_the_room_for_vertices_does_not_change_the_answer(contacts):
     assert epsilon_within(wrenches, len(wrenches), tight) == OVERFLOW
     assert epsilon_within(wrenches, len(wrenches), epsilon_scratch(len(wrenches) - 1)) == OVERFLOW
     assert epsilon_with(wrenches, len(wrenches), tight) == epsilon(wrenches)
+    counts = search(wrenches)[0].counts
+    assert counts[0] < 0.8 * counts[2]  # places of removed vertices are used again
 
 
 def test_what_is_in_the_scratch_does_not_matter(contacts):
@@ -96,12 +98,15 @@ def test_what_is_in_the_scratch_does_not_matter(contacts):
 def test_a_floor_ends_the_search_early_without_changing_what_is_above_it(contacts):
     sets = [w for w in contacts.wrench_cases(13, 40) if epsilon(w) > 0.01]
     scratch = epsilon_scratch(max(map(len, sets)))
+    full = early = 0
     for wrenches in sets:
         quality = epsilon(wrenches)
-        cuts = scratch.counts[1] if epsilon_with(wrenches, len(wrenches), scratch) else -1
+        assert epsilon_with(wrenches, len(wrenches), scratch) == quality
+        full += scratch.counts[1]
         assert epsilon_with(wrenches, len(wrenches), scratch, 0.999 * quality) == quality
         assert epsilon_with(wrenches, len(wrenches), scratch, 1.5 * quality) == 0.0
-        assert scratch.counts[1] <= cuts
+        early += scratch.counts[1]
+    assert early < 0.8 * full
 
 
 @pytest.mark.parametrize("thin", [1e-2, 1e-3, 3e-4, 1e-5, 1e-6])
@@ -112,7 +117,24 @@ def test_thin_hulls(thin):
     assert epsilon(wrenches * [1, 1, 1, 1, 1, 0.5 * LEAST / thin]) == 0.0
 
 
-def test_numbers_that_are_not_finite_do_not_hang():
-    wrenches = CROSS.copy()
-    wrenches[3, 2] = np.nan
-    assert not epsilon(wrenches) > 0
+@pytest.mark.parametrize("bump", [1e-2, 1e-4, 1e-6, 1e-8])
+def test_points_barely_outside_the_hull_of_the_others_count(bump):
+    # a point above the middle of each face of a cube: planes through it and an edge of the face, (1, bump, 0, ...)
+    wrenches = np.concatenate([CUBE, (1 + bump) * CROSS])
+    assert epsilon(wrenches) == pytest.approx((1 + bump) / np.hypot(1, bump), rel=2e-10)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e200])
+def test_numbers_that_are_not_finite_or_huge(value):
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        wrenches = np.concatenate([CROSS, rng.standard_normal((20, 6))])
+        wrenches[rng.integers(0, len(wrenches), 2), rng.integers(0, 6, 2)] = value
+        quality = epsilon(wrenches)
+        assert 0 <= quality < 10 if value == 1e200 else np.isnan(quality)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-9, 1e9, 1e200])
+def test_scaling_all_wrenches_scales_epsilon(scale):
+    wrenches = np.concatenate([CROSS, 0.9 * CUBE]) * [1, 1, 1, 1, 1, 0.01]
+    assert epsilon(scale * wrenches) == pytest.approx(scale * epsilon(wrenches), rel=1e-9)

@@ -14,9 +14,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 from neuralgrasps.grasps.polar import OVERFLOW, farthest_vertex, polar_scratch
 
-LEAST = 1e-7  # a smaller epsilon is reported as 0
+LEAST = 1e-7  # an epsilon smaller than this times the largest entry of the wrenches is reported as 0
 STARTS = 1  # no longer means anything
 _FIRST_REACH, _LAST_REACH = 1e3, 1.0 / LEAST  # of the polar that is searched: finds epsilon above 1 / this
+_HUGE = 1e300
 _VERTICES = 2048  # room to begin with; real grasps of 2-39 contacts need up to 1,400
 
 
@@ -38,26 +39,35 @@ def epsilon_scratch(wrenches, vertices=_VERTICES):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def epsilon_within(wrenches, count, scratch, floor=LEAST):  # type: ignore[no-untyped-def]
+def epsilon_within(wrenches, count, scratch, floor=0.0):  # type: ignore[no-untyped-def]
     """`epsilon_with` without allocation: -1.0 where the scratch is too small."""
     if count > scratch.values.shape[0]:
         return OVERFLOW
     if count == 0:
         return 0.0
+    scale = 0.0
     for i in range(count):
         for k in range(6):
-            scratch.columns[k, i] = wrenches[i, k]
-    least = max(floor, LEAST)
+            size = abs(wrenches[i, k])
+            if not size < _HUGE:
+                return np.nan
+            scale = max(scale, size)
+    if scale < 1.0 / _HUGE:
+        return 0.0
+    for i in range(count):
+        for k in range(6):
+            scratch.columns[k, i] = wrenches[i, k] / scale
+    least = max(floor / scale, LEAST)
     support, reach = farthest_vertex(scratch, count, _FIRST_REACH, least)
     if reach >= _FIRST_REACH * support and support > least * reach:  # rounding is larger in a larger search
         support, reach = farthest_vertex(scratch, count, _LAST_REACH, least)
     if reach == OVERFLOW:
         return OVERFLOW
-    return 0.0 if support <= least * reach else min(support, 1.0) / reach
+    return 0.0 if support <= least * reach else scale * (min(support, 1.0) / reach)
 
 
 @njit(cache=True, error_model="numpy")
-def epsilon_with(wrenches, count, scratch, floor=LEAST):  # type: ignore[no-untyped-def]
+def epsilon_with(wrenches, count, scratch, floor=0.0):  # type: ignore[no-untyped-def]
     """`epsilon` of the first `count` rows of `wrenches` (W, 6), in `scratch`; more is allocated in the rare need.
 
     `floor`: an epsilon that turns out not to exceed it is returned as 0.0, sooner.
@@ -80,6 +90,8 @@ def epsilon(wrenches, starts=STARTS):  # type: ignore[no-untyped-def]
     Args:
         wrenches: (W, 6) float64, see `wrench_space.grasp_wrenches`.
         starts: ignored.
+    Returns:
+        nan when a wrench is not finite.
     """
     return epsilon_with(wrenches, len(wrenches), epsilon_scratch(len(wrenches)))
 

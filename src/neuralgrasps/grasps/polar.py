@@ -25,7 +25,7 @@ from numba import njit
 
 OVERFLOW = -1.0
 _TOLERANCE = 1e-10  # violation, relative to 1, below which a constraint holds
-_NONE = -1  # in `mates`: not joined yet; a new vertex v on the edge is written -2 - v
+_NONE = -1  # in `mates`: not joined yet, where a new vertex v on the edge is written -2 - v
 
 
 class PolarScratch(NamedTuple):
@@ -38,7 +38,7 @@ class PolarScratch(NamedTuple):
         x: (6, V) vertices; squared: (V,) squared norm, -1 = unused; gap: (V,) violation of the cut.
         basis, mates: (8 V,) int32.
         cut_off, free: (V,) int32 vertices; rim: (8 V,) int32 edges.
-        columns: (6, W) constraints; values: (W,).
+        columns: (6, W) constraints, no entry above 1 in size; values: (W,).
         counts: (3,) int64: vertices in use, cuts, vertices made in all.
     """
 
@@ -100,6 +100,7 @@ def _start(x, squared, basis, mates, inner):  # type: ignore[no-untyped-def]
             other = j if j < v else j + 1
             basis[8 * v + j] = -1 - other
             mates[8 * v + j] = 8 * other + (v if v < other else v - 1)
+        basis[8 * v + 6] = basis[8 * v + 7] = _NONE
 
 
 @njit(cache=True, error_model="numpy")
@@ -144,13 +145,17 @@ def _find_rim(x, columns, row, used, gap, mates, cut_off, rim):  # type: ignore[
         for j in range(6):
             edge = first + j
             rim[crossing] = edge
-            crossing += gap[mates[edge] >> 3] <= 0.0
+            crossing += not gap[mates[edge] >> 3] > 0.0  # nan, too, is one of the two
     return removed, crossing
 
 
 @njit(cache=True, error_model="numpy")
 def _make_vertices(x, squared, gap, basis, mates, rim, crossing, row, used, free, spare):  # type: ignore[no-untyped-def]
-    """A vertex where each edge of the rim crosses constraint `row`; returns vertices in use."""
+    """A vertex where each edge of the rim crosses constraint `row`; returns vertices in use.
+
+    -1: constraint `row` has been cut with before, and only rounding lets vertices on it violate it.
+    """
+    repeated = 0
     for q in range(crossing):
         edge = rim[q]
         mate = mates[edge]
@@ -169,14 +174,16 @@ def _make_vertices(x, squared, gap, basis, mates, rim, crossing, row, used, free
             size += at * at
         squared[z] = size
         for j in range(8):
-            basis[8 * z + j] = basis[8 * u + j]
+            constraint = basis[8 * u + j]
+            repeated += constraint == row
+            basis[8 * z + j] = constraint
             mates[8 * z + j] = _NONE
         slot = 8 * z + (edge & 7)
         basis[slot] = row
         mates[slot] = mate
         mates[mate] = slot
         mates[edge] = -2 - z
-    return used
+    return used if repeated == 0 else -1
 
 
 @njit(cache=True, error_model="numpy")
@@ -225,7 +232,7 @@ def farthest_vertex(s, count, inner, floor):  # type: ignore[no-untyped-def]
         support, row = _support(s.x, top, s.columns, count, s.values)
         reach = math.sqrt(s.squared[top])
         s.counts[0], s.counts[1], s.counts[2] = used, cuts, made
-        if not support > max(1.0 + tolerance, floor * reach) or reach >= inner * support or cuts > count:
+        if not support > max(1.0 + tolerance, floor * reach) or reach >= inner * support:
             return support, reach
         removed, crossing = _find_rim(s.x, s.columns, row, used, s.gap, s.mates, s.cut_off, s.rim)
         if used + max(crossing - spare, 0) > s.squared.shape[0]:
@@ -233,6 +240,8 @@ def farthest_vertex(s, count, inner, floor):  # type: ignore[no-untyped-def]
         used = _make_vertices(
             s.x, s.squared, s.gap, s.basis, s.mates, s.rim, crossing, row, used, s.free, spare
         )  # fmt: skip
+        if used < 0:
+            return support, reach
         spare = max(spare - crossing, 0)
         _join_vertices(s.basis, s.mates, s.rim, crossing)
         for p in range(removed):
