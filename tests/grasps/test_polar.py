@@ -138,3 +138,15 @@ def test_numbers_that_are_not_finite_or_huge(value):
 def test_scaling_all_wrenches_scales_epsilon(scale):
     wrenches = np.concatenate([CROSS, 0.9 * CUBE]) * [1, 1, 1, 1, 1, 0.01]
     assert epsilon(scale * wrenches) == pytest.approx(scale * epsilon(wrenches), rel=1e-9)
+
+
+def test_rounding_beyond_the_tolerance_ends_the_search():
+    # unscaled: w . x = 1 is lost to rounding where x is 1e3 and w 1e200, and vertices violate what they lie on
+    scratch = polar_scratch(32, 20_000)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        wrenches = np.concatenate([CROSS, rng.standard_normal((20, 6))])
+        wrenches[rng.integers(0, 32, 2), rng.integers(0, 6, 2)] = 1e200
+        scratch.columns[:] = wrenches.T
+        support, reach = farthest_vertex(scratch, 32, INNER, 0.0)
+        assert reach >= 0 or reach == OVERFLOW or np.isnan(support)
