@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neuralgrasps.geometry.sdf_grid import query_grid_gradient_numpy
+from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.oppose import opposition, pose_on_pair, thumb_and_fingers, tip_points
@@ -14,6 +15,7 @@ from neuralgrasps.synthesis.propose import (
     draw_pairs,
     draw_preshapes,
     jaw_aperture,
+    pad_middles,
     perpendicular,
     poses_from_palm,
     propose_approach,
@@ -182,3 +184,42 @@ def test_proposals_are_a_function_of_the_generator(problem_of):
     np.testing.assert_array_equal(first.X_OH, same.X_OH)
     np.testing.assert_array_equal(first.q, same.q)
     assert first.X_OH.shape != other.X_OH.shape or (first.X_OH != other.X_OH).any()
+
+
+@pytest.mark.parametrize("name", ["fetch", "panda"])
+def test_pads_that_slide_have_one_middle(hands, name):
+    hand = hands[name]
+    widths = np.linspace(0.0, jaw_aperture(hand), 7)
+    np.testing.assert_allclose(pad_middles(hand, widths), np.repeat(hand.jaw_pad_H[None], 7, axis=0), atol=1e-12)
+
+
+def test_pads_on_cranks_move_out_of_the_palm_as_they_open(tmp_path):
+    """Cranks of 60 mm swing inwards from upright, tips stay upright: x = 50 - 60 sin t, z = 50 + 60 cos t, in mm."""
+    crank, t_max = 0.06, 0.7
+    lines = ['<robot name="cranks"><link name="base">' + _box("0.06 0.03 0.02", "0 0 0.02") + "</link>"]
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        mimic = '<mimic joint="left" multiplier="{}"/>'
+        turn = "" if side == "left" else mimic.format(-1.0)
+        low, high = (-t_max, 0.0) if side == "left" else (0.0, t_max)
+        lines.append(
+            f'<link name="{side}_crank">{_box("0.008 0.02 0.05", "0 0 0.03")}</link>'
+            f'<link name="{side}_tip">{_box("0.008 0.02 0.04", f"{sign * 0.004} 0 0.025")}</link>'
+            f'<joint name="{side}" type="revolute"><parent link="base"/><child link="{side}_crank"/><axis xyz="0 1 0"/>'
+            f'<origin xyz="{sign * 0.05} 0 0.05"/><limit lower="{low}" upper="{high}" effort="5" velocity="1"/>{turn}'
+            f'</joint><joint name="{side}_level" type="revolute">'
+            f'<parent link="{side}_crank"/><child link="{side}_tip"/>'
+            f'<axis xyz="0 1 0"/><origin xyz="0 0 {crank}"/><limit lower="-1" upper="1" effort="5" velocity="1"/>'
+            f"{mimic.format(-sign)}</joint>"
+        )
+    path = tmp_path / "cranks.urdf"
+    path.write_text("".join([*lines, "</robot>"]))
+    hand = load_hand(path)
+    assert hand.is_jaw
+    t = np.array([0.05, 0.2, 0.45, 0.65])
+    widths = 2 * crank * (np.sin(t_max) - np.sin(t))
+    height = pad_middles(hand, widths) @ hand.X_HP[:3, 2]
+    np.testing.assert_allclose(height - height[0], crank * (np.cos(t) - np.cos(t[0])), atol=1e-4)
+
+
+def _box(size, xyz):
+    return f'<collision><origin xyz="{xyz}"/><geometry><box size="{size}"/></geometry></collision>'

@@ -25,6 +25,7 @@ BACK_OFF_M = 0.012
 MAX_SPAN_M = 0.15  # wider pairs are not looked for
 OPPOSED_SHARE = 0.7
 DRAWS = 4  # pairs drawn per proposal: many are too wide, and drawing costs a hundredth of closing
+_CLOSURES = 33  # at which a jaw's pads are looked at; odd, so that one is half way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +37,7 @@ class Proposals:
 
 
 def poses_from_palm(X_HP: np.ndarray, origin_O: np.ndarray, x_axis: np.ndarray, z_axis: np.ndarray) -> np.ndarray:
-    """Hand poses (N, 4, 4) that put the palm frame at `origin_O` with the given axes (unit, perpendicular)."""
+    """Hand poses (N, 4, 4) that put the palm frame, one or N, at `origin_O` with the given axes (unit, perpendicular)."""
     X_OP = np.zeros((len(origin_O), 4, 4))
     X_OP[:, :3, 0] = x_axis
     X_OP[:, :3, 1] = np.cross(z_axis, x_axis)
@@ -80,13 +81,36 @@ def _antipodal_pairs(values, origin, inv_spacing, points, directions, max_width,
         keep[i] = found and along >= cos_cone
 
 
+def _closed(hand: Hand) -> np.ndarray:
+    """(J,) the open posture with every closing joint at its limit."""
+    end = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
+    return np.where(hand.closing_rate != 0, end, hand.q_open)
+
+
 def jaw_aperture(hand: Hand) -> float:
     """Largest object width, metres, that fits between the open pads of a parallel jaw whose closed pads meet."""
-    end = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
-    closed = np.where(hand.closing_rate != 0, end, hand.q_open)
-    opened_H, closed_H = forward_fast(hand.tree, np.stack([hand.q_open, closed]))
+    opened_H, closed_H = forward_fast(hand.tree, np.stack([hand.q_open, _closed(hand)]))
     advance = (closed_H - opened_H)[:, :3, 3] @ hand.X_HP[:3, 0]
     return float(advance.max() - advance.min())
+
+
+def pad_middles(hand: Hand, widths: np.ndarray) -> np.ndarray:
+    """(N, 3) middle between a jaw's pads, in H, when they are `widths` (N,) metres apart.
+
+    Pads that a linkage swings move along the approach while they close. `hand.jaw_pad_H` is the middle half closed;
+    the two fingertips' points there are followed to other widths. For pads that slide it is the same for all.
+    """
+    tips = [finger.links[-1] for finger in hand.fingers if finger.links]
+    if len(tips) != 2:
+        return np.repeat(hand.jaw_pad_H[None], len(widths), axis=0)
+    share = np.linspace(0.0, 1.0, _CLOSURES)
+    X_HL = forward_fast(hand.tree, hand.q_open + share[:, None] * (_closed(hand) - hand.q_open))[:, tips]
+    half = X_HL[_CLOSURES // 2]
+    pad_L = np.einsum("tji,tj->ti", half[:, :3, :3], hand.jaw_pad_H - half[:, :3, 3])
+    points = np.einsum("stij,tj->sti", X_HL[..., :3, :3], pad_L) + X_HL[..., :3, 3]
+    apart = np.abs((points[:, 1] - points[:, 0] - (points[-1, 1] - points[-1, 0])) @ hand.X_HP[:3, 0])
+    middle = points.mean(axis=1)
+    return np.stack([np.interp(widths, apart[::-1], column[::-1]) for column in middle.T], axis=1)
 
 
 def draw_pairs(
@@ -126,8 +150,8 @@ def propose_jaw(
     direction = (exits - start) / np.linalg.norm(exits - start, axis=1, keepdims=True)
     x_axis = direction
     z_axis = perpendicular(x_axis, roll)
-    X_HP_pad = hand.X_HP.copy()
-    X_HP_pad[:3, 3] = hand.jaw_pad_H
+    X_HP_pad = np.repeat(hand.X_HP[None], len(start), axis=0)
+    X_HP_pad[:, :3, 3] = pad_middles(hand, np.linalg.norm(exits - start, axis=1))
     centre = 0.5 * (start + exits) + depth[:, None] * z_axis
     q = np.repeat(hand.q_open[None], len(centre), axis=0)
     return Proposals(X_OH=poses_from_palm(X_HP_pad, centre, x_axis, z_axis), q=q)
