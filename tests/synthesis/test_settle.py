@@ -11,6 +11,7 @@ from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.penetration import mesh_depths, object_depths, self_penetration
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.synthesis.candidates import VALID, close_and_assess
+from neuralgrasps.synthesis.finish import kinds_of
 from neuralgrasps.synthesis.propose import propose_dexterous, propose_jaw
 from neuralgrasps.synthesis.settle import TOLERANCE_M, settle
 
@@ -64,6 +65,15 @@ def test_idle_fingers_rest_half_curled_clear_of_everything(problem_of, name):
             end = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
             share = (settled.q[i] - hand.q_open)[closing] / (end - hand.q_open)[closing]
             assert (share <= 0.61).all()  # not a fist
+
+
+@pytest.mark.parametrize("name", ["fetch", "panda"])
+@pytest.mark.parametrize("solid", ["box", "can", "ball"])
+def test_both_pads_of_a_jaw_stay_on_the_object(problem_of, name, solid):
+    problem = problem_of(name, solid)
+    settled, _ = settle(problem, _closed(problem, count=150))
+    kinds = kinds_of(problem, settled.X_OH, forward_fast(problem.hand.tree, settled.q))
+    assert (kinds.finger_count == 2).mean() > 0.97
 
 
 def test_what_does_not_overlap_is_left_alone(problem_of):

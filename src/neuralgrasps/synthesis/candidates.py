@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from neuralgrasps.errors import DeviceError
-from neuralgrasps.grasps.probe_points import ProbePoints, probe_hand, probe_surface
+from neuralgrasps.grasps.probe_points import ProbePoints
 from neuralgrasps.grasps.wrench_space import characteristic_length
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.packed import PackedHand, pack_hand
+from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.assess import (
     COLLIDES,
@@ -27,8 +27,9 @@ from neuralgrasps.synthesis.assess import (
     close_and_assess_all,
     close_and_balance_all,
 )
-from neuralgrasps.synthesis.close import Closing, make_closing
-from neuralgrasps.synthesis.clusters import Clusters, cluster_points
+from neuralgrasps.synthesis.close import Closing
+from neuralgrasps.synthesis.clusters import Clusters
+from neuralgrasps.synthesis.prepared import prepare_hand, prepare_surface
 
 if TYPE_CHECKING:
     from neuralgrasps.synthesis.device import GpuPair
@@ -52,7 +53,6 @@ __all__ = [
 
 Device = Literal["cpu", "cuda"]
 SPACING_M = 0.004  # of the hand's surface points; at 9 mm, round links overlap by 2 mm between the points
-PROBE_SPACING_M = 0.002  # of the points, and along the edges, that look for overlap between those
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -159,15 +159,15 @@ def make_problem(
         DeviceError: the device is not known or not there.
     """
     check_device(device)
-    packed, clusters = cluster_points(pack_hand(hand, spacing=spacing))
+    tools = prepare_hand(hand, spacing=spacing)
     return GraspProblem(
         hand=hand,
         obj=obj,
-        packed=packed,
-        probe=probe_surface(obj.mesh, spacing=PROBE_SPACING_M),
-        hand_probe=probe_hand(hand, spacing=PROBE_SPACING_M),
-        clusters=clusters,
-        closing=make_closing(hand),
+        packed=tools.packed,
+        probe=prepare_surface(obj.mesh),
+        hand_probe=tools.probe,
+        clusters=tools.clusters,
+        closing=tools.closing,
         length=characteristic_length(obj.points_O, obj.com_O),
         friction=friction,
         torsion=torsion,

@@ -106,7 +106,8 @@ def _without_overlap(problem: GraspProblem, closed: Candidates, idle: np.ndarray
 
 def kinds_of(problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray) -> ContactKinds:
     """Labels of N grasps by the links that are within `TOUCH_M`; a link that only grazes the object does not count."""
-    return contact_kinds(problem.hand, contacts_of(problem, X_OH, X_HL, TOUCH_M)[2])
+    fine = replace(problem, packed=problem.hand_probe)
+    return contact_kinds(problem.hand, contacts_of(fine, X_OH, X_HL, TOUCH_M)[2])
 
 
 def contacts_of(

@@ -80,33 +80,62 @@ def _carries(packed, link, active):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _draw_apart(values, origin, inv_spacing, fine, probe, closing, approach_H, tolerance, X_OH, q, X_HL, depth):  # type: ignore[no-untyped-def]
+def _open_jaw(fine, closing, excess, X_OH, q):  # type: ignore[no-untyped-def]
+    """Open a jaw by half of what its two sides overlap together, and shift it by half of the difference.
+
+    So the pad that overlaps is cleared and the other one stays on the object. `excess` (L,) per link, metres.
+    """
+    minus = plus = 0.0
+    for link in range(excess.shape[0]):
+        if closing.side[link] < 0:
+            minus = max(minus, excess[link])
+        elif closing.side[link] > 0:
+            plus = max(plus, excess[link])
+    for j in range(q.shape[0]):
+        q[j] = min(max(q[j] - 0.5 * (minus + plus) * closing.unit[j], fine.lower[j]), fine.upper[j])
+    for k in range(3):
+        for m in range(3):
+            X_OH[k, 3] += 0.5 * (minus - plus) * X_OH[k, m] * closing.axis_H[m]
+
+
+@njit(cache=True, error_model="numpy")
+def _open_fingers(fine, X_HL, excess, active, back, q):  # type: ignore[no-untyped-def]
+    """Open the joints that carry a link that overlaps by `excess` (L,), metres, as far as clears it at full speed."""
+    back[:] = 0.0
+    for link in range(excess.shape[0]):
+        if excess[link] > 0.0:
+            _carries(fine, link, active)
+            speed = speed_bound(fine, X_HL, link, active)
+            for j in range(q.shape[0]):
+                if active[j] and speed > 0.0:
+                    back[j] = max(back[j], _OVERSHOOT * excess[link] / speed)
+    for j in range(q.shape[0]):
+        q[j] = min(max(q[j] - back[j] * fine.closing_rate[j], fine.lower[j]), fine.upper[j])
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_apart(  # type: ignore[no-untyped-def]
+    values, origin, inv_spacing, fine, probe, closing, is_jaw, approach_H, tolerance, X_OH, q, X_HL, depth
+):
     """Open links and draw the hand back until no link overlaps by more than `tolerance`; returns the deepest left."""
-    active, back = np.empty(q.shape[0], np.bool_), np.empty(q.shape[0])
+    active, back, excess = np.empty(q.shape[0], np.bool_), np.empty(q.shape[0]), np.empty(depth.shape[0])
     for step in range(_STEPS + 1):
         pose_links(fine, q, X_HL)
         link_overlaps(values, origin, inv_spacing, fine, probe, X_OH, X_HL, depth)
         if depth.max() <= tolerance or step == _STEPS:
             break
-        back[:] = 0.0
         away = 0.0
         for link in range(depth.shape[0]):
-            if depth[link] <= tolerance:
-                continue
-            excess = _OVERSHOOT * (depth[link] - 0.5 * tolerance)
-            _carries(fine, link, active)
-            speed = speed_bound(fine, X_HL, link, active)
-            if speed == 0.0:
-                away = max(away, excess)
-                continue
-            for j in range(q.shape[0]):
-                if active[j]:
-                    back[j] = max(back[j], excess / speed)
+            excess[link] = depth[link] - 0.5 * tolerance if depth[link] > tolerance else 0.0
+            if closing.link_group[link] < 0:
+                away = max(away, excess[link])
         for k in range(3):
             for m in range(3):
-                X_OH[k, 3] -= away * X_OH[k, m] * approach_H[m]
-        for j in range(q.shape[0]):
-            q[j] = min(max(q[j] - back[j] * fine.closing_rate[j], fine.lower[j]), fine.upper[j])
+                X_OH[k, 3] -= _OVERSHOOT * away * X_OH[k, m] * approach_H[m]
+        if is_jaw:
+            _open_jaw(fine, closing, excess, X_OH, q)
+        else:
+            _open_fingers(fine, X_HL, excess, active, back, q)
     return depth.max()
 
 
@@ -163,7 +192,7 @@ def _settle(  # type: ignore[no-untyped-def]
     for i in range(q.shape[0]):
         idle[i] = False
         left = _draw_apart(
-            values, origin, inv_spacing, fine, probe, closing, approach_H, tolerance, X_OH[i], q[i], X_HL, depth
+            values, origin, inv_spacing, fine, probe, closing, is_jaw, approach_H, tolerance, X_OH[i], q[i], X_HL, depth
         )
         if not is_jaw:
             _relax_idle(
