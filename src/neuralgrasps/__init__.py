@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from neuralgrasps.sim.validate import validate_grasps
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 _HOMES = {
     "DatasetConfig": "dataset.schema",
