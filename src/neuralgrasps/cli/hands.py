@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalText
 from neuralgrasps.cli.outputs import check_writable
-from neuralgrasps.cli.terminal import Cell, Outcome, Terminal
+from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -96,7 +96,7 @@ def _write_page(hand: Hand, report: Path, repairs: list[str], derived: list[str]
 
 
 def _described(terminal: Terminal, hand: Hand, picture: Path | None) -> Outcome:
-    kind = "parallel jaw" if hand.is_jaw else f"{len(hand.fingers)} fingers"
+    kind = "parallel jaw" if hand.is_jaw else counted(len(hand.fingers), "finger")
     facts: list[tuple[str, Cell]] = [
         ("joints", hand.num_dofs),
         ("kind", kind),

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.errors import RobotDescriptionError
+from neuralgrasps.hands.chains import find_fingers
 from neuralgrasps.hands.closing import (
     MovableHand,
     closing_shares,
@@ -25,6 +26,7 @@ from neuralgrasps.hands.closing import (
 )
 from neuralgrasps.hands.contact import SelfContact, doubts
 from neuralgrasps.hands.efforts import limit_efforts
+from neuralgrasps.hands.followers import branch_doubts, counted_fingers
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.jaws import has_jaw_motion, jaw_pad
 from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
@@ -65,9 +67,13 @@ def complete_notes(
     """
     if tree.num_dofs == 0:
         raise RobotDescriptionError(f"hand '{name}' has no movable joints; expected at least one.")
+    if given.fingers is not None:
+        _check_jaw(name, given, [f.name for f in given.fingers])
     if _is_complete(tree, given):
         return given, ()
     model = movable_hand(name, _working_ranges(tree), parts, given)
+    if given.fingers is None:
+        _check_jaw(name, given, [tree.link_names[f[0]] for f in model.fingers])
     contact = SelfContact(model, parts)
     radial = None
     if not (has_jaw_motion(model) if given.is_jaw is None else given.is_jaw):
@@ -80,7 +86,17 @@ def complete_notes(
         notes, guessed = _from_symmetry(model, radial, given)
     warning = _warning(model, contact, notes, 1.0 if radial is None else radial.certainty)
     notes, efforts = limit_efforts(model, notes)
-    return notes, _sentences(tree, given, notes, guessed) + efforts + warning
+    branches = () if given.fingers is not None else branch_doubts(model, find_fingers(tree, parts)[1])
+    return notes, _sentences(tree, given, notes, guessed) + branches + efforts + warning
+
+
+def _check_jaw(name: str, given: HandNotes, fingers: Sequence[str]) -> None:
+    if given.is_jaw and len(fingers) != 2:
+        raise RobotDescriptionError(
+            f"hand '{name}': hand.toml says is_jaw = true, but {counted_fingers(len(fingers))} begin at "
+            f"{', '.join(fingers)}; a parallel jaw has 2. Name these two in [[fingers]] tables of hand.toml, or say "
+            "is_jaw = false."
+        )
 
 
 def _working_ranges(tree: KinematicTree) -> KinematicTree:
@@ -289,7 +305,7 @@ def _sentences(
         z = ", ".join(f"{v:.2f}" for v in notes.X_HP[:3, 2])
         said.append(f"palm faces ({z}) in the base frame.")
     if given.fingers is None:
-        said.append(f"{len(notes.fingers)} fingers: {', '.join(f.name for f in notes.fingers)}.")
+        said.append(f"{counted_fingers(len(notes.fingers))}: {', '.join(f.name for f in notes.fingers)}.")
     if given.is_jaw is None:
         said.append(
             "treated as a parallel jaw." if notes.is_jaw else "treated as a dexterous hand, not a parallel jaw."

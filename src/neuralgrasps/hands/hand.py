@@ -116,7 +116,8 @@ class Hand:
 
     def __repr__(self) -> str:
         joints = "1 joint" if self.num_dofs == 1 else f"{self.num_dofs} joints"
-        kind = "parallel jaw" if self.is_jaw else f"{len(self.fingers)} fingers"
+        fingers = "1 finger" if len(self.fingers) == 1 else f"{len(self.fingers)} fingers"
+        kind = "parallel jaw" if self.is_jaw else fingers
         return f"Hand({self.name}: {joints}, {kind}, {len(self.parts)} convex parts)"
 
     @property

@@ -12,7 +12,10 @@ from neuralgrasps.kinematics.tree import KinematicTree
 
 Clouds = Mapping[int, tuple[np.ndarray, np.ndarray]]
 SHORT = 0.7  # a strut reaches at most this share of its finger's length
-PINNED = 0.012  # metres: its end stays this near to the finger that it is pinned to
+PINNED = 0.012  # metres: its end, or the hinge between them, stays this near to the finger that it is pinned to
+HINGE_PLAY = 0.001  # metres: a hinge of links that joints move in step keeps its place in both this well
+HINGE_BEYOND = 0.03  # metres: shapes of struts are often simplified and end this far from their hinge
+HINGE_TRAVEL = 0.005  # metres: a hinge that does not move is a pivot in the palm that two fingers share
 TURNED = np.radians(8.0)  # fingertips of a jaw that turn more than this do not stay parallel
 _STEPS = 5
 
@@ -21,6 +24,8 @@ def without_struts(
     tree: KinematicTree, fingers: Sequence[tuple[int, ...]], clouds: Clouds, moved: np.ndarray
 ) -> tuple[tuple[int, ...], ...]:
     """The fingers that are not struts: short branches without a joint of their own, pinned to a longer finger.
+
+    Pinned: the far end stays on the finger's surface, or the two turn about one hinge that moves with both.
 
     Args:
         fingers: links of each branch, proximal first; clouds: surface points of links; moved (L, J): what joints move.
@@ -36,6 +41,8 @@ def without_struts(
             if g == f or reach[f] > SHORT * reach[g] or (own & ~moved[list(finger)].any(axis=0)).any():
                 continue
             if all(_end_gap(X[k], fingers[f], points[f][k], points[g][k]) < PINNED for k in range(_STEPS)):
+                return True
+            if any(_is_hinged(X, fingers[f], points[f], i, clouds) for i in finger if i in clouds):
                 return True
         return False
 
@@ -58,6 +65,36 @@ def _end_gap(X: np.ndarray, finger: Sequence[int], own: np.ndarray, other: np.nd
     """Distance of a branch's far end from the surface points of another, metres."""
     far = own[np.argmax(np.linalg.norm(own - X[finger[0], :3, 3], axis=1))]
     return float(KDTree(other).query(far)[0])
+
+
+def _is_hinged(X: np.ndarray, strut: Sequence[int], points: np.ndarray, link: int, clouds: Clouds) -> bool:
+    """Do a strut's last link and `link` of a finger turn in one plane about a moving hinge near to both?"""
+    last = [i for i in strut if i in clouds][-1]
+    X_relative = np.linalg.inv(X[:, link]) @ X[:, last]
+    R, t = X_relative[:, :3, :3], X_relative[:, :3, 3]
+    turned = R[-1] @ R[0].T
+    angle = np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))
+    if not TURNED < angle < np.pi - TURNED:
+        return False
+    # the point of the strut nearest to its end that stays in one place of the link: R p + t = place, in all postures
+    far = points[0][np.argmax(np.linalg.norm(points[0] - X[0, strut[0], :3, 3], axis=1))]
+    far = (far - X[0, last, :3, 3]) @ X[0, last, :3, :3]
+    at_end = R @ far + t
+    rows = np.concatenate([R, np.tile(-np.eye(3), (len(R), 1, 1))], axis=2).reshape(-1, 6)
+    shift = np.linalg.lstsq(rows, (at_end.mean(axis=0) - at_end).ravel(), rcond=1e-6)[0]
+    hinge, place = far + shift[:3], at_end.mean(axis=0) + shift[3:]
+    if np.linalg.norm(R @ hinge + t - place, axis=1).max() > HINGE_PLAY:
+        return False
+    travel = X[:, last, :3, :3] @ hinge + X[:, last, :3, 3]
+    if np.linalg.norm(travel - travel[0], axis=1).max() < HINGE_TRAVEL:
+        return False
+    own, other = clouds[last][0], clouds[link][0]
+    if KDTree(own).query(hinge)[0] > HINGE_BEYOND or KDTree(other).query(place)[0] > PINNED:
+        return False
+    axis = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
+    axis = axis / np.linalg.norm(axis)
+    ours, theirs = (own @ R[0].T + t[0]) @ axis, other @ axis
+    return bool(ours.min() < theirs.max() and theirs.min() < ours.max())  # fingers side by side have a gap there
 
 
 def tips_stay_parallel(tree: KinematicTree, tip_links: Sequence[int], q_open: np.ndarray, q_closed: np.ndarray) -> bool:

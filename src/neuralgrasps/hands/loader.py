@@ -45,6 +45,11 @@ def hand_from_description(description: RobotDescription, notes: HandNotes | None
         raise RobotDescriptionError(
             f"hand '{description.name}' has no geometry; add a collision or visual shape to its links."
         )
+    if description.tree.num_dofs == 0:
+        fixed = [line for line in description.repairs if "treated as fixed" in line]
+        raise RobotDescriptionError(
+            " ".join((f"hand '{description.name}' has no movable joints; expected at least one.", *fixed))
+        )
     tree, coupled = couple_jaw(description.name, description.tree, parts, given)
     complete, guesses = complete_notes(description.name, tree, parts, given)
     tree = _with_efforts(tree, complete)

@@ -274,11 +274,16 @@ def _efforts(
         else:
             efforts[k] = DEFAULT_TORQUE if joint.joint_type == REVOLUTE else DEFAULT_FORCE
             assumed.append(joint.name)
-    if assumed:
-        notes.append(
-            f"effort is missing, 0 or not finite for {', '.join(assumed)}: {DEFAULT_TORQUE:g} N m (revolute) or "
-            f"{DEFAULT_FORCE:g} N (prismatic) assumed."
-        )
+    negative = [name for name in assumed if (moving[name].effort or 0.0) < 0]
+    for words, names in (
+        ("negative", negative),
+        ("missing, 0 or not finite", [n for n in assumed if n not in negative]),
+    ):
+        if names:
+            notes.append(
+                f"effort is {words} for {', '.join(names)}: {DEFAULT_TORQUE:g} N m (revolute) or "
+                f"{DEFAULT_FORCE:g} N (prismatic) assumed."
+            )
     return efforts
 
 
