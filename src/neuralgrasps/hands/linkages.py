@@ -40,6 +40,8 @@ def without_struts(
         for g, finger in enumerate(fingers):
             if g == f or reach[f] > SHORT * reach[g] or (own & ~moved[list(finger)].any(axis=0)).any():
                 continue
+            if not _in_one_plane(X, _last(fingers[f], clouds), points[f][0], points[g][0]):
+                continue
             if all(_end_gap(X[k], fingers[f], points[f][k], points[g][k]) < PINNED for k in range(_STEPS)):
                 return True
             if any(_is_hinged(X, fingers[f], points[f], i, clouds) for i in finger if i in clouds):
@@ -67,14 +69,16 @@ def _end_gap(X: np.ndarray, finger: Sequence[int], own: np.ndarray, other: np.nd
     return float(KDTree(other).query(far)[0])
 
 
+def _last(finger: Sequence[int], clouds: Clouds) -> int:
+    return [i for i in finger if i in clouds][-1]
+
+
 def _is_hinged(X: np.ndarray, strut: Sequence[int], points: np.ndarray, link: int, clouds: Clouds) -> bool:
-    """Do a strut's last link and `link` of a finger turn in one plane about a moving hinge near to both?"""
-    last = [i for i in strut if i in clouds][-1]
+    """Do a strut's last link and `link` of a finger turn against each other about a moving hinge near to both?"""
+    last = _last(strut, clouds)
     X_relative = np.linalg.inv(X[:, link]) @ X[:, last]
     R, t = X_relative[:, :3, :3], X_relative[:, :3, 3]
-    turned = R[-1] @ R[0].T
-    angle = np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1))
-    if not TURNED < angle < np.pi - TURNED:
+    if np.arccos(np.clip((np.trace(R[-1] @ R[0].T) - 1) / 2, -1, 1)) < TURNED:
         return False
     # the point of the strut nearest to its end that stays in one place of the link: R p + t = place, in all postures
     far = points[0][np.argmax(np.linalg.norm(points[0] - X[0, strut[0], :3, 3], axis=1))]
@@ -89,12 +93,15 @@ def _is_hinged(X: np.ndarray, strut: Sequence[int], points: np.ndarray, link: in
     if np.linalg.norm(travel - travel[0], axis=1).max() < HINGE_TRAVEL:
         return False
     own, other = clouds[last][0], clouds[link][0]
-    if KDTree(own).query(hinge)[0] > HINGE_BEYOND or KDTree(other).query(place)[0] > PINNED:
-        return False
+    return bool(KDTree(own).query(hinge)[0] < HINGE_BEYOND and KDTree(other).query(place)[0] < PINNED)
+
+
+def _in_one_plane(X: np.ndarray, link: int, own: np.ndarray, other: np.ndarray) -> bool:
+    """Do two branches overlap along the axis that `link` turns about? Fingers side by side have a gap there."""
+    turned = X[-1, link, :3, :3] @ X[0, link, :3, :3].T
     axis = np.array([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
-    axis = axis / np.linalg.norm(axis)
-    ours, theirs = (own @ R[0].T + t[0]) @ axis, other @ axis
-    return bool(ours.min() < theirs.max() and theirs.min() < ours.max())  # fingers side by side have a gap there
+    ours, theirs = own @ axis, other @ axis
+    return bool(ours.min() <= theirs.max() and theirs.min() <= ours.max())
 
 
 def tips_stay_parallel(tree: KinematicTree, tip_links: Sequence[int], q_open: np.ndarray, q_closed: np.ndarray) -> bool:
