@@ -10,8 +10,10 @@ import pytest
 from neuralgrasps.geometry.mesh import signed_distance
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.grasps.quality import link_distances
 from neuralgrasps.hands.hand import ConvexPart, Finger, Hand, PartKind
 from neuralgrasps.hands.packed import pack_hand
+from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast, forward_numpy
 from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, REVOLUTE, KinematicTree
 from neuralgrasps.synthesis.candidates import make_problem
@@ -307,3 +309,47 @@ def test_the_sides_of_a_jaw_are_opposite_and_its_fast_pad_moves_a_metre_per_unit
         before, after = forward_numpy(hand.tree, np.stack([hand.q_open, hand.q_open + 0.01 * closing.unit]))
         moved = (after - before)[:, :3, 3] @ closing.axis_H
         assert np.abs(moved).max() == pytest.approx(0.01)
+
+
+def _three_on_one_motor(folder):
+    """Three upright fingers around z, 120 degrees apart, that tilt inwards together; a palm below."""
+    shape = '<collision><origin xyz="{}"/><geometry><box size="{}"/></geometry></collision>'
+    text = ['<robot name="three"><link name="palm">' + shape.format("0 0 0", "0.06 0.06 0.02") + "</link>"]
+    for i in range(3):
+        turn = 2 * np.pi * i / 3
+        follow = "" if i == 0 else '<mimic joint="f0"/>'
+        text.append(
+            f'<link name="finger_{i}">{shape.format("0 0 0.05", "0.01 0.02 0.1")}</link>'
+            f'<joint name="f{i}" type="revolute">'
+            f'<parent link="palm"/><child link="finger_{i}"/><axis xyz="0 -1 0"/>'
+            f'<origin xyz="{0.06 * np.cos(turn)} {0.06 * np.sin(turn)} 0.01" rpy="0 0 {turn}"/>'
+            f'<limit lower="-0.3" upper="0.9" effort="3" velocity="1"/>{follow}</joint>'
+        )
+    path = folder / "three.urdf"
+    path.write_text("".join([*text, "</robot>"]))
+    return load_hand(path)
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (0.012, 0.0), (-0.006, 0.015), (0.004, -0.012)])
+def test_a_hand_on_one_motor_gives_way_until_all_fingers_touch(tmp_path, solids, offset):
+    hand = _three_on_one_motor(tmp_path)
+    assert not hand.is_jaw and len(hand.fingers) == 3
+    problem = make_problem(
+        hand, solids["ball"], friction=0.6, torsion=0.0, contact_threshold_m=2.5e-3, max_penetration_m=1e-3
+    )
+    assert sorted(set(problem.closing.branch.tolist())) == [-1, 0, 1, 2]
+    X_OH = np.eye(4)
+    X_OH[:3, 3] = *offset, -0.075
+    start, q = X_OH.copy(), hand.q_open.copy()
+    X_HL = np.zeros((hand.tree.num_links, 4, 4))
+    assert close_fingers(*problem.sdf_arrays, problem.packed, problem.clusters, problem.closing, X_OH, q, X_HL)
+    gaps = np.empty(hand.tree.num_links)
+    link_distances(*problem.sdf_arrays, problem.packed, X_OH, X_HL, gaps)
+    assert (gaps[1:] < 1.0e-3).all() and gaps.min() > -2e-4
+    np.testing.assert_allclose(X_OH[:3, :3], start[:3, :3])
+    assert np.abs(X_OH[:2, 3]).max() < 2.5e-3  # centred on the ball
+
+
+def test_hands_with_a_motor_per_finger_do_not_move(hands):
+    for name in ("barrett", "allegro", "human", "panda"):
+        assert (make_closing(hands[name]).branch == -1).all() or hands[name].is_jaw

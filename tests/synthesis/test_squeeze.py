@@ -14,6 +14,7 @@ from neuralgrasps.synthesis.finish import clear_pregrasps, finish_grasps
 from neuralgrasps.synthesis.propose import propose_dexterous, propose_jaw
 from neuralgrasps.synthesis.squeeze import (
     EFFORT_SHARE,
+    GAP_M,
     JAW_SQUEEZE_M,
     PREGRASP_JAW_M,
     PREGRASP_RAD,
@@ -92,10 +93,10 @@ def test_a_jaw_squeezes_past_contact(problem_of, jaw_on_axes):
     nothing = (None, None), None
     idle = np.zeros(1, bool)
     target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), *nothing, stiffness=np.ones(1), idle=idle)
-    assert target == pytest.approx(q - JAW_SQUEEZE_M)
+    assert target == pytest.approx(q - JAW_SQUEEZE_M - GAP_M)
     stiff = np.array([1e5])  # 10 mm of this servo would be 1000 N
     target = squeeze_joints(problem, q, np.eye(4), np.zeros((3, 4, 4)), *nothing, stiffness=stiff, idle=idle)
-    assert (q - target) * stiff == pytest.approx(EFFORT_SHARE * problem.hand.tree.effort)
+    assert (q - GAP_M - target) * stiff == pytest.approx(EFFORT_SHARE * problem.hand.tree.effort)
 
 
 def test_pregrasps_open_every_closing_joint_within_the_limits(hands):

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, SynthesisResult, synthesise
+
+ENGINES = ("libigl", "mujoco", "numba", "numpy")  # another version of these may make other grasps
 
 Progress = Callable[[int, int, str], None]
 
@@ -75,7 +78,7 @@ def collect_grasps(
 ) -> tuple[list[GraspSet], list[PairRecord]]:
     """Grasps of every hand on every object, one file a pair.
 
-    A pair whose file is there, made from the same hand, object, config, protocol, seed and version (`pair_key`), is
+    A pair whose file is there, made from the same hand, object, config, protocol, seed and versions (`pair_key`), is
     read instead of made again; so a run that was killed goes on where it was.
 
     Args:
@@ -107,7 +110,8 @@ def collect_grasps(
         record = record_of(result, config.count)
         grasps = result.grasps.with_config(key=keys[i])
         write_whole(paths[i].with_suffix(".json"), _record_text(record))
-        save_grasps(paths[i], grasps)
+        hand, obj = pairs[i]
+        save_grasps(paths[i], grasps, hand=hand, object_fingerprint=of_object[obj.name])
         done[i] = (grasps, record)
         if progress is not None:
             progress(len(done), len(pairs), f"{record.hand} on {record.object}: {record.validated}")
@@ -127,13 +131,14 @@ def object_fingerprint(obj: ObjectModel) -> str:
 
 
 def pair_key(hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int) -> str:
-    """sha256 (hex) of all that the grasps of a pair are made from, every number of the protocol included."""
+    """sha256 (hex) of all that the grasps of a pair are made from, each number of the protocol and `ENGINES` included."""
     return _key(hand_fingerprint(hand), object_fingerprint(obj), config, seed)
 
 
 def _key(of_hand: str, of_object: str, config: SynthesisConfig, seed: int) -> str:
     protocols = tuple(get_protocol(name) for name in (config.protocol, *config.also))
-    return fingerprint((neuralgrasps.__version__, of_hand, of_object, config, protocols, seed))
+    versions = (neuralgrasps.__version__, *(version(name) for name in ENGINES))
+    return fingerprint((versions, of_hand, of_object, config, protocols, seed))
 
 
 def _check_names(kind: str, names: Sequence[str]) -> None:

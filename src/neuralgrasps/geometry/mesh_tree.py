@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.mesh import Mesh, contains
 from neuralgrasps.geometry.mesh_topology import face_bodies
 from neuralgrasps.geometry.triangle_tree import box_distance_squared, build_nodes

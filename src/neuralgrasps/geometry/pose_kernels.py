@@ -5,7 +5,7 @@ Transforms are (4, 4) or (3, 4) arrays; the last row is never read. Each is test
 
 from __future__ import annotations
 
-from numba import njit
+from neuralgrasps.compiled import njit
 
 
 @njit(cache=True, inline="always", error_model="numpy")

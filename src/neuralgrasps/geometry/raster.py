@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.errors import ShapeError
 from neuralgrasps.geometry.camera import Intrinsics
 
@@ -96,7 +96,7 @@ def _numbers(k: Intrinsics) -> tuple[float, float, float, float]:
     return float(k.fx), float(k.fy), float(k.cx), float(k.cy)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _pixel_box(p, near, fx, fy, cx, cy, width, height):  # type: ignore[no-untyped-def]
     """First and one-past-last column and row whose centres a triangle (3, 3) can cover; empty when out of view."""
     low_u, high_u, low_v, high_v = np.inf, -np.inf, np.inf, -np.inf
@@ -125,7 +125,7 @@ def _pixel_box(p, near, fx, fy, cx, cy, width, height):  # type: ignore[no-untyp
     return int(first_u), int(last_u), int(first_v), int(last_v)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _edge_planes(p, planes):  # type: ignore[no-untyped-def]
     """Write p1 x p2, p2 x p0, p0 x p1 into `planes` (3, 3), signed so that inside is >= 0; return their scale."""
     for i in range(3):
@@ -143,7 +143,7 @@ def _edge_planes(p, planes):  # type: ignore[no-untyped-def]
     return volume
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, face_index, barycentric):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     p = np.empty((3, 3))
@@ -176,7 +176,7 @@ def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, f
                         barycentric[v, u, 2] = b2 / total
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _raster_depth(points, faces, fx, fy, cx, cy, near, depth):  # type: ignore[no-untyped-def]
     height, width = depth.shape
     p = np.empty((3, 3))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError, MeshError, ShapeError
 from neuralgrasps.geometry.mesh_topology import Mesh, face_areas_normals
 

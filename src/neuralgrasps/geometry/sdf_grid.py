@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.mesh_distance import contains, signed_distance
 from neuralgrasps.geometry.mesh_topology import Mesh, is_closed

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from neuralgrasps.compiled import njit
 
 
 @njit(cache=True, inline="always", error_model="numpy")

@@ -10,9 +10,9 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.mesh_topology import Mesh
 from neuralgrasps.geometry.shape_kernels import triangle_distance_squared
 

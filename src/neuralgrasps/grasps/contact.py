@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point, rigid_product
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 

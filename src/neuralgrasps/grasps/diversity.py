@@ -21,7 +21,8 @@ class Diversity:
     Attributes:
         explained: (D,) share of the variance that each principal component explains, largest first. One large share =
             little variety; all 0 when all grasps are equal.
-        entropy_bits: mean over joints of the entropy of the joint's value in 100 bins over its range; at most 6.64.
+        entropy_bits: mean over joints of the entropy of the joint's value in 100 bins over its range; at most 6.64,
+            and no more than log2(N) of N grasps: fewer than 100 cannot reach it, so compare sets of equal size.
         approach_coverage: share of 200 directions, evenly spread over the sphere of the object frame, within 30
             degrees of some grasp's approach (the palm's z axis). One approach alone covers 0.067.
         nearest_approach_rad: median over grasps of the angle to the nearest approach of another grasp.

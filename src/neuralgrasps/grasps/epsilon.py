@@ -9,27 +9,15 @@ Source: Ferrari & Canny 1992, "Planning optimal grasps".
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.spatial import ConvexHull, QhullError
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.grasps.polar import OVERFLOW, farthest_vertex, polar_scratch
 
 LEAST = 1e-7  # an epsilon smaller than this times the largest entry of the wrenches is reported as 0
-STARTS = 1  # no longer means anything
 _FIRST_REACH, _LAST_REACH = 1e3, 1.0 / LEAST  # of the polar that is searched: finds epsilon above 1 / this
 _HUGE = 1e300
 _VERTICES = 2048  # room to begin with; real grasps of 2-39 contacts need up to 1,400
-
-
-def _fixed_axes() -> np.ndarray:
-    """(96, 6) unit axes; with their opposites the 192 directions of the upper bound."""
-    axes = np.random.default_rng(192).standard_normal((90, 6))
-    axes = np.concatenate([np.eye(6), axes / np.linalg.norm(axes, axis=1, keepdims=True)])
-    axes.flags.writeable = False
-    return axes
-
-
-_AXES = _fixed_axes()
 
 
 @njit(cache=True, error_model="numpy")
@@ -81,7 +69,7 @@ def epsilon_with(wrenches, count, scratch, floor=0.0):  # type: ignore[no-untype
 
 
 @njit(cache=True, error_model="numpy")
-def epsilon(wrenches, starts=STARTS):  # type: ignore[no-untyped-def]
+def epsilon(wrenches):  # type: ignore[no-untyped-def]
     """Radius of the largest origin-centred ball in the hull of `wrenches`; 0.0 without force closure.
 
     epsilon = 1 / max |x| over the polar polytope {x : w_i . x <= 1}, found with a proof: see `polar`. Never too large;
@@ -89,50 +77,10 @@ def epsilon(wrenches, starts=STARTS):  # type: ignore[no-untyped-def]
 
     Args:
         wrenches: (W, 6) float64, see `wrench_space.grasp_wrenches`.
-        starts: ignored.
     Returns:
         nan when a wrench is not finite.
     """
     return epsilon_with(wrenches, len(wrenches), epsilon_scratch(len(wrenches)))
-
-
-@njit(cache=True, error_model="numpy")
-def epsilon_batch(wrenches, counts, starts=STARTS):  # type: ignore[no-untyped-def]
-    """`epsilon` of each of (N, W, 6) wrench sets of which the first counts[n] rows are used -> (N,) float64."""
-    out = np.empty(len(wrenches))
-    scratch = epsilon_scratch(wrenches.shape[1])
-    for n in range(len(wrenches)):
-        out[n] = epsilon_with(wrenches[n], counts[n], scratch)
-    return out
-
-
-@njit(cache=True, error_model="numpy")
-def epsilon_upper_bound(wrenches):  # type: ignore[no-untyped-def]
-    """Lowest support over 192 fixed directions, never below epsilon; 0.0 proves that there is no force closure.
-
-    Use it to reject, never to accept: about half of the grasps without force closure pass it, and its median is 1.8
-    times epsilon. `epsilon` itself rejects as fast.
-    """
-    count = len(wrenches)
-    if count == 0:
-        return 0.0
-    columns, values = np.ascontiguousarray(wrenches.T), np.empty(count)
-    lowest = np.inf
-    for a in range(len(_AXES)):
-        values[:] = 0.0
-        for k in range(6):
-            weight = _AXES[a, k]
-            if weight != 0.0:
-                for i in range(count):
-                    values[i] += weight * columns[k, i]
-        high = low = values[0]
-        for i in range(1, count):
-            high = max(high, values[i])
-            low = min(low, values[i])
-        lowest = min(lowest, high, -low)
-        if lowest <= 0.0:
-            return 0.0
-    return lowest
 
 
 def epsilon_qhull(wrenches: np.ndarray) -> float:

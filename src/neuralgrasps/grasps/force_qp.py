@@ -16,8 +16,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.grasps.wrench_space import fill_grasp_wrenches
 
 WEIGHT = 1e-5

@@ -15,6 +15,8 @@ from safetensors.numpy import load
 from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, array_fields
+from neuralgrasps.hands.fingerprint import hand_fingerprint
+from neuralgrasps.hands.hand import Hand
 from neuralgrasps.tensor_files import tensor_bytes
 
 FORMAT = "neuralgrasps.grasp_set"
@@ -22,14 +24,44 @@ VERSION = 2  # 2 added force_residual, palm_contact, finger_count, precision
 _VERDICT_ARRAYS = ("success", "displacement_m", "rotation_rad")
 
 
-def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
+# What each tensor holds, for readers without this library. N grasps, J joints, C contacts.
+COLUMNS = {
+    "X_OH": "(N, 4, 4) hand base H (the hand file's root link) in the object's mesh frame O, metres: p_O = X_OH p_H",
+    "q": "(N, J) joints at the grasp, in the order of 'joints', rad (turning) or m (sliding)",
+    "q_pregrasp": "(N, J) joints before closing, as q",
+    "q_squeeze": "(N, J) position targets that press the fingers on the object, as q",
+    "contact_points_O": "(N, C, 3) on the object's surface, frame O, metres, nan where there is no contact",
+    "contact_normals_O": "(N, C, 3) unit, frame O, out of the object, nan where there is no contact",
+    "contact_links": "(N, C) the link that touches, its place in 'links' from 0, -1 where there is no contact",
+    "epsilon": "(N,) Ferrari-Canny quality, 0 = no force closure, no unit",
+    "penetration_m": "(N,) deepest overlap, metres, >= 0",
+    "force_residual": "(N,) net wrench of the best unit squeeze, 0 = balanced, nan = not measured",
+    "palm_contact": "(N,) the palm touches",
+    "finger_count": "(N,) fingers that touch, -1 = not labelled",
+    "precision": "(N,) only fingertips touch",
+    "verdict.I.success": "(N,) the object was held in the trial 'verdicts'[I]",
+    "verdict.I.displacement_m": "(N,) largest movement of the object in the hand in that trial, metres",
+    "verdict.I.rotation_rad": "(N,) largest rotation of the object in the hand in that trial, rad",
+}
+
+
+def save_grasps(
+    path: str | os.PathLike[str], grasps: GraspSet, *, hand: Hand | None = None, object_fingerprint: str = ""
+) -> Path:
     """Write `grasps` to `path`, replacing what is there only once the new file is complete; equal sets, equal bytes.
 
+    Args:
+        hand: the hand of the grasps; its joint and link names and fingerprint are then in the file.
+        object_fingerprint: hash of the object, "" = not known; readers can tell a changed object by it.
     Returns:
         the path written.
     Raises:
+        ShapeError: `hand` has another number of joints. InputError: it has another name.
         StorageError: missing or read-only folder, full disk, no permission. An older file is left as it was.
     """
+    about = {"columns": COLUMNS} | _about_hand(grasps, hand)
+    if object_fingerprint:
+        about["object_fingerprint"] = object_fingerprint
     arrays = {name: getattr(grasps, name) for name in array_fields()}
     verdicts = []
     for i, (name, verdict) in enumerate(grasps.verdicts.items()):
@@ -43,6 +75,7 @@ def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
             "seed": grasps.seed,
             "config": dict(grasps.config),
             "verdicts": verdicts,
+            **about,
         },
         sort_keys=True,
     )
@@ -53,6 +86,19 @@ def save_grasps(path: str | os.PathLike[str], grasps: GraspSet) -> Path:
         "sha256": _checksum(arrays, description),
     }
     return write_whole(path, tensor_bytes(arrays, metadata), make_folder=False)
+
+
+def _about_hand(grasps: GraspSet, hand: Hand | None) -> dict[str, Any]:
+    if hand is None:
+        return {}
+    if hand.name != grasps.hand:
+        raise InputError(f"the grasps are of hand '{grasps.hand}', but hand '{hand.name}' was given with them.")
+    hand.check_q(grasps.q)
+    return {
+        "joints": list(hand.tree.dof_names),
+        "links": list(hand.tree.link_names),
+        "hand_fingerprint": hand_fingerprint(hand),
+    }
 
 
 def load_grasps(path: str | os.PathLike[str]) -> GraspSet:

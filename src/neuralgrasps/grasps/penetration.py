@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.mesh import Mesh, signed_distance
 from neuralgrasps.geometry.pose_kernels import moved_point, rigid_inverse, rigid_product
 from neuralgrasps.geometry.sdf_grid import SdfGrid, grid_distance, query_grid_numpy

@@ -21,7 +21,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from neuralgrasps.compiled import njit
 
 OVERFLOW = -1.0
 _TOLERANCE = 1e-10  # violation, relative to 1, below which a constraint holds

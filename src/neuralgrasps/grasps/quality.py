@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.grasps.contact import MAX_PER_LINK, THRESHOLD_M, find_contacts, link_pose_in_object
-from neuralgrasps.grasps.epsilon import STARTS, epsilon
+from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.penetration import PenetrationDepths, penetration_depths
 from neuralgrasps.grasps.wrench_space import characteristic_length, grasp_wrenches
@@ -36,7 +36,6 @@ class QualityConfig:
         torsion_m: torsional friction coefficient, metres; 0 = hard fingers.
         edges: edges of the linearised friction cone.
         threshold_m: hand points nearer than this touch; max_per_link: contacts kept per link.
-        starts: vertex walks of the epsilon (see `epsilon.epsilon`).
     """
 
     friction: float | None = None
@@ -44,17 +43,14 @@ class QualityConfig:
     edges: int = 8
     threshold_m: float = THRESHOLD_M
     max_per_link: int = MAX_PER_LINK
-    starts: int = STARTS
 
     def __post_init__(self) -> None:
         if self.friction is not None and not self.friction > 0:
             raise InputError(f"friction is {self.friction}; expected > 0, such as 0.6, or None for the object's.")
         if self.torsion_m < 0 or self.threshold_m <= 0:
             raise InputError(f"torsion_m is {self.torsion_m}, threshold_m {self.threshold_m}; expected >= 0 and > 0.")
-        if self.edges < 3 or self.max_per_link < 1 or self.starts < 1:
-            raise InputError(
-                f"edges is {self.edges}, max_per_link {self.max_per_link}, starts {self.starts}; expected >= 3, 1, 1."
-            )
+        if self.edges < 3 or self.max_per_link < 1:
+            raise InputError(f"edges is {self.edges}, max_per_link {self.max_per_link}; expected >= 3 and >= 1.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,7 +104,6 @@ def _judge(  # type: ignore[no-untyped-def]
     length,
     threshold,
     max_per_link,
-    starts,
     points,
     normals,
     links,
@@ -136,7 +131,7 @@ def _judge(  # type: ignore[no-untyped-def]
         quality[n], residual[n] = 0.0, np.inf
         if count:
             wrenches = grasp_wrenches(points[n, :count], normals[n, :count], com, friction, edges, torsion, length)
-            quality[n] = epsilon(wrenches, starts)
+            quality[n] = epsilon(wrenches)
             residual[n] = contact_forces(
                 points[n, :count], normals[n, :count], com, friction, edges, torsion, length
             ).residual
@@ -183,7 +178,6 @@ def grasp_quality(
         characteristic_length(obj.points_O, obj.com_O),
         config.threshold_m,
         config.max_per_link,
-        config.starts,
         points,
         normals,
         contact_links,

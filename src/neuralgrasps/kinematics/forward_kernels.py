@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.errors import ShapeError
 from neuralgrasps.kinematics.tree import PRISMATIC, REVOLUTE, KinematicTree
 

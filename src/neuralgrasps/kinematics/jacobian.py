@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import turned_vector
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.tree import FIXED, REVOLUTE, KinematicTree

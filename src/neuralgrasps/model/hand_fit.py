@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.hands.packed import nearest_part, part_distance_H, pose_links
 from neuralgrasps.kinematics.jacobian import point_jacobian
 

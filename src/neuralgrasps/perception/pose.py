@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.pose_kernels import moved_point, turned_vector

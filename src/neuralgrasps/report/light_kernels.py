@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
+
+from neuralgrasps.compiled import njit
 
 
 def _disc_points() -> np.ndarray:
@@ -16,7 +17,7 @@ def _disc_points() -> np.ndarray:
 _DISC = _disc_points()
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _lit(x, y, z, axes, depth, inv_texel, bias, ramp, du, dv):  # type: ignore[no-untyped-def]
     """1 when nothing stands between the point (relative to the maps' centre) and the light, 0 in its shadow."""
     size = depth.shape[0]
@@ -30,7 +31,7 @@ def _lit(x, y, z, axes, depth, inv_texel, bias, ramp, du, dv):  # type: ignore[n
     return min(max(np.float32(1.0) - (d - bias - depth[v, u]) * ramp, np.float32(0.0)), np.float32(1.0))
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _sky_light(x, y, z, n, sample, pattern, sky):  # type: ignore[no-untyped-def]
     """Light from this sample's share of the dome, scaled so that a free horizontal surface gets 1."""
     directions, axes, depth, texel = sky
@@ -52,7 +53,7 @@ def _sky_light(x, y, z, n, sample, pattern, sky):  # type: ignore[no-untyped-def
     return total * np.float32(9.0 * 2.86) / np.float32(count)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _key_light(x, y, z, sample, pattern, key):  # type: ignore[no-untyped-def]
     """Visibility of the lamp, 0..1, over a disc of about 7 mm: a soft shadow."""
     _, axes, depth, texel = key
@@ -65,7 +66,7 @@ def _key_light(x, y, z, sample, pattern, key):  # type: ignore[no-untyped-def]
     return total * np.float32(0.25)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _blend(rows, b0, b1, b2):  # type: ignore[no-untyped-def]
     """Barycentric mean of the rows of a (3, 3) array, as a tuple."""
     return (
@@ -75,25 +76,25 @@ def _blend(rows, b0, b1, b2):  # type: ignore[no-untyped-def]
     )
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _dot(a, b):  # type: ignore[no-untyped-def]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _unit(a, sign):  # type: ignore[no-untyped-def]
     scale = sign / (np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) + np.float32(1e-20))
     return (a[0] * scale, a[1] * scale, a[2] * scale)
 
 
-@numba.njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def _face_normal(corners):  # type: ignore[no-untyped-def]
     ax, ay, az = corners[1, 0] - corners[0, 0], corners[1, 1] - corners[0, 1], corners[1, 2] - corners[0, 2]
     bx, by, bz = corners[2, 0] - corners[0, 0], corners[2, 1] - corners[0, 1], corners[2, 2] - corners[0, 2]
     return _unit((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), np.float32(1.0))
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _light(p, n, g, view, gloss, sample, pattern, sky, key, lights):  # type: ignore[no-untyped-def]
     """Diffuse light on a surface, and the highlight and rim light added to it, at p (relative to the maps' centre).
 
@@ -116,7 +117,7 @@ def _light(p, n, g, view, gloss, sample, pattern, sky, key, lights):  # type: ig
     return diffuse + np.float32(0.08), shine, rim  # 0.08: light bounced from everywhere
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def shade_surfaces(image, scene, view, sky, key, lights, out):  # type: ignore[no-untyped-def]
     """Add the light of every sample to out = (colour (h, w, 3), coverage (h, w)).
 
@@ -156,7 +157,7 @@ def shade_surfaces(image, scene, view, sky, key, lights, out):  # type: ignore[n
                 out_coverage[row, column] += ninth
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def fill_ground(height, reach, sky, key, dark_sky, dark_key):  # type: ignore[no-untyped-def]
     """Share of the sky and of the lamp hidden from each ground cell (G, G) of a square of side 2 reach."""
     size = dark_sky.shape[0]

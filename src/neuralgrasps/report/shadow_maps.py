@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+
+from neuralgrasps.compiled import njit
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,7 +65,7 @@ def _coprime_step(count: int) -> int:
     return step
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fill_maps(points, faces, axes, inv_texel, depth):  # type: ignore[no-untyped-def]
     size = depth.shape[1]
     half = np.float32(0.5 * size - 0.5)
@@ -79,7 +80,7 @@ def _fill_maps(points, faces, axes, inv_texel, depth):  # type: ignore[no-untype
         _fill_map(uvd, faces, depth[light])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _fill_map(uvd, faces, depth):  # type: ignore[no-untyped-def]
     size = depth.shape[0]
     for face in range(len(faces)):

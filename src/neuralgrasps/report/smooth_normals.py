@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
+
+from neuralgrasps.compiled import njit
 
 
 def corner_normals(vertices: np.ndarray, faces: np.ndarray, *, crease_rad: float = math.radians(38)) -> np.ndarray:
@@ -37,7 +38,7 @@ def _merge_vertices(vertices: np.ndarray) -> np.ndarray:
     return np.unique(cells[:, 0] << 42 | cells[:, 1] << 21 | cells[:, 2], return_inverse=True)[1].reshape(-1)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _blend(merged, scaled, around, start, cos_crease):  # type: ignore[no-untyped-def]
     count = len(merged)
     length = np.sqrt((scaled**2).sum(axis=1))

@@ -18,8 +18,8 @@ from enum import StrEnum
 
 import mujoco
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
@@ -63,7 +63,8 @@ class TrialOutcome:
         displacement_m, rotation_rad: largest motion of the object's centre of mass and orientation seen since the start
             (until the failing check, when it failed); nan when the grasp was rejected at its start or diverged.
         start_penetration_m: deepest overlap of hand and object at the pre-grasp, 0 when they are apart.
-        held: number of forces withstood before the first failure; 6 when all were.
+        held: index of the force that the grasp failed under, in the order +x, -x, +y, -y, +z, -z; 6 when it failed
+            under none. Without an observer, forces before it may have been withstood for their first 0.2 s only.
     """
 
     success: bool
@@ -224,7 +225,7 @@ class GraspTrial:
         return True
 
     def _hold_all(self, observe: Observer | None) -> int:
-        """Pull along the object's six directions; returns how many were withstood before the first failure."""
+        """Pull along the object's six directions; returns `TrialOutcome.held`."""
         checks = self._checks(self.protocol.hold_s)
         if observe or not self.protocol.from_reset:
             return self._hold_in_turn(checks, observe)

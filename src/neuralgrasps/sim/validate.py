@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,6 +26,9 @@ def validate_grasps(
     threads: int = 1,
 ) -> Verdict:
     """Try grasps in physics, in order.
+
+    Hopeless grasps cost little: where each force starts from the squeeze, all six are first tried for 0.2 s each, and a
+    grasp that lets go then is dropped. This is the pre-screen; the verdict is that of the six forces in turn.
 
     Args:
         hand, obj: what `grasps` was made for.
@@ -85,30 +87,6 @@ def _try_rows(trials: Sequence[GraspTrial], grasps: GraspSet, rows: Sequence[int
             free.append(trial)
 
     return thread_map(run, rows, threads=len(trials))
-
-
-def prescreen(
-    hand: Hand,
-    obj: ObjectModel,
-    grasps: GraspSet,
-    protocol: str | Protocol = "dexgraspbench",
-    *,
-    hold_s: float = 0.2,
-) -> np.ndarray:
-    """Which grasps are worth a full trial: the same trial with each force held for `hold_s` only.
-
-    Drop what it rejects; never accept what it passes. It runs the first part of the full trial, step for step, so with
-    `from_reset` protocols nothing it drops can pass: its recall is 1 by construction.
-
-    Returns:
-        (N,) bool, True = keep.
-    """
-    protocol = get_protocol(protocol)
-    if not protocol.from_reset:
-        raise InputError(
-            f"protocol '{protocol.name}' does not restart each force from the squeeze; it has no pre-screen."
-        )
-    return validate_grasps(hand, obj, grasps, replace(protocol, hold_s=min(hold_s, protocol.hold_s))).success
 
 
 def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -> dict[str, float]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.grasps.contact import ContactScratch, find_contacts_using, most_points
 from neuralgrasps.grasps.epsilon import epsilon_scratch, epsilon_with, epsilon_within
 from neuralgrasps.grasps.force_qp import WEIGHT, edge_forces_using, net_wrench, new_force_scratch

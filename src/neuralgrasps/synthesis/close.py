@@ -2,7 +2,8 @@
 
 Every step moves each surface point by less than its distance to the object, so the closed hand is free of
 penetration up to the spacing of its surface points. A link that touches stops the joints that
-carry it; joints further out go on (the breakaway of underactuated fingers is this).
+carry it; joints further out go on (the breakaway of underactuated fingers is this). Where one joint moves several
+fingers, the first that touches would stop them all; then the hand gives way, as the object would, until all touch.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point, turned_vector
+from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 from neuralgrasps.grasps.contact import link_pose_in_object
 from neuralgrasps.hands.chains import moved_links
 from neuralgrasps.hands.hand import Hand
@@ -29,6 +31,13 @@ from neuralgrasps.synthesis.clusters import (
 CONTACT_M = 3.0e-4  # a link closer than this touches
 START_OVERLAP_M = 1.0e-3  # a hand that starts deeper in the object cannot close
 MAX_STEPS = 160
+MAX_SHIFTS = 60  # of a hand whose fingers move together
+LARGEST_SHIFT_M = 3.0e-3  # at once
+ALL_SHIFTS_M = 0.03
+_LEAST_SHIFT_M = 5.0e-5
+_NEAR_M = 1.0e-3  # of coupled fingers, those that are nearly there have a say too
+_BALANCED = 0.2  # mean contact normal below which nothing is to be gained by giving way
+_AGAINST = -0.1  # a link whose nearest normal points this far against the shift must have room for it
 
 
 class Closing(NamedTuple):
@@ -41,6 +50,7 @@ class Closing(NamedTuple):
         side (L,) int8: of a jaw, +1 for links that close along `axis_H`, -1 against it, 0 for the palm.
         axis_H (3,): the closing line of a jaw.
         unit (J,): of a jaw, joint motion that advances the faster pad by 1 m.
+        branch (L,) int64: finger of each link that closes on a joint it shares with another finger; -1 for all others.
     """
 
     group: np.ndarray
@@ -49,6 +59,7 @@ class Closing(NamedTuple):
     side: np.ndarray
     axis_H: np.ndarray
     unit: np.ndarray
+    branch: np.ndarray
 
 
 def make_closing(hand: Hand) -> Closing:
@@ -69,7 +80,17 @@ def make_closing(hand: Hand) -> Closing:
         advance = (after - before)[:, :3, 3] @ axis_H
         side = np.sign(np.round(advance, 9)).astype(np.int8)
         unit = step / max(float(np.abs(advance).max()), 1e-12)
-    return Closing(group.astype(np.int64), link_group.astype(np.int64), len(names), side, axis_H, unit)
+    branch = _shared_branches(hand, moved, group, link_group)
+    return Closing(group.astype(np.int64), link_group.astype(np.int64), len(names), side, axis_H, unit, branch)
+
+
+def _shared_branches(hand: Hand, moved: np.ndarray, group: np.ndarray, link_group: np.ndarray) -> np.ndarray:
+    """(L,) finger of the links in groups where a joint moves several fingers, else -1; `moved` (L, J) by joint."""
+    finger = np.full(hand.tree.num_links, -1, np.int64)
+    for index, one in enumerate(hand.fingers):
+        finger[list(one.links)] = index
+    driven = np.array([len(np.unique(finger[moved[:, j] & (finger >= 0)])) for j in range(hand.num_dofs)])
+    return np.where(np.isin(link_group, group[(driven > 1) & (group >= 0)]), finger, -1)
 
 
 class CloseScratch(NamedTuple):
@@ -171,8 +192,81 @@ def _close_group(values, origin, inv_spacing, packed, clusters, closing, group, 
 
 
 @njit(cache=True, error_model="numpy")
+def _nearest_normal(values, origin, inv_spacing, packed, X, link):  # type: ignore[no-untyped-def]
+    """Distance of a link's nearest point to the object, and the object's outward normal there."""
+    best, x, y, z = 1.0e9, 0.0, 0.0, 0.0
+    for k in range(packed.link_point_start[link], packed.link_point_start[link + 1]):
+        px, py, pz = moved_point(X, packed.point_L[k, 0], packed.point_L[k, 1], packed.point_L[k, 2])
+        d = grid_distance(values, origin, inv_spacing, px, py, pz)
+        if d < best:
+            best, x, y, z = d, px, py, pz
+    _, gx, gy, gz = grid_distance_gradient(values, origin, inv_spacing, x, y, z)
+    norm = math.sqrt(gx * gx + gy * gy + gz * gz) + 1.0e-12
+    return best, gx / norm, gy / norm, gz / norm
+
+
+@njit(cache=True, error_model="numpy")
+def _touches(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, link, X, at_centre):  # type: ignore[no-untyped-def]
+    """Whether a link is within `_NEAR_M` of the object; leaves its pose in `X`."""
+    if clusters.of_link[link] == clusters.of_link[link + 1]:
+        return False
+    link_pose_in_object(X_OH, X_HL, link, X)
+    if sphere_distance(values, origin, inv_spacing, packed, X, link) >= _NEAR_M:
+        return False
+    d = link_distance_using(values, origin, inv_spacing, packed, clusters, X, link, _NEAR_M, at_centre)
+    return d < _NEAR_M
+
+
+@njit(cache=True, error_model="numpy")
+def _give_way(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, X_HL, X, at_centre):  # type: ignore[no-untyped-def]
+    """Shift a hand away from what its coupled fingers touch, by no more than the rest of it has room for.
+
+    Returns the shift in metres; 0 when all fingers of the group touch, or the contacts balance or block each other.
+    """
+    links = packed.link_radius.shape[0]
+    nx = ny = nz = 0.0
+    touching, free = 0, False
+    for link in range(links):
+        if closing.link_group[link] != group:
+            continue
+        first = closing.branch[link] >= 0  # the innermost link of its branch that touches speaks for the branch
+        branch_touches = False
+        for other in range(links):
+            same = closing.link_group[other] == group and closing.branch[other] == closing.branch[link]
+            if same and _touches(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, other, X, at_centre):
+                branch_touches = True
+                first = first and other >= link
+        free = free or (closing.branch[link] >= 0 and not branch_touches)
+        if first and _touches(values, origin, inv_spacing, packed, clusters, X_OH, X_HL, link, X, at_centre):
+            _, gx, gy, gz = _nearest_normal(values, origin, inv_spacing, packed, X, link)
+            nx, ny, nz, touching = nx + gx, ny + gy, nz + gz, touching + 1
+    norm = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if touching == 0 or not free or norm < _BALANCED * touching:
+        return 0.0
+    nx, ny, nz = nx / norm, ny / norm, nz / norm
+    shift = LARGEST_SHIFT_M
+    for link in range(links):
+        if clusters.of_link[link] == clusters.of_link[link + 1]:
+            continue
+        link_pose_in_object(X_OH, X_HL, link, X)
+        if sphere_distance(values, origin, inv_spacing, packed, X, link) >= shift + CONTACT_M:
+            continue
+        d, gx, gy, gz = _nearest_normal(values, origin, inv_spacing, packed, X, link)
+        if gx * nx + gy * ny + gz * nz < _AGAINST:  # it comes nearer, by no more than the shift
+            shift = min(shift, 0.5 * d)  # half: closing takes up the rest from the other side
+    if shift < _LEAST_SHIFT_M:
+        return 0.0
+    X_OH[0, 3] += shift * nx
+    X_OH[1, 3] += shift * ny
+    X_OH[2, 3] += shift * nz
+    return shift
+
+
+@njit(cache=True, error_model="numpy")
 def close_fingers(values, origin, inv_spacing, packed, clusters, closing, X_OH, q, X_HL):  # type: ignore[no-untyped-def]
     """Close one hand in place: `q` (J,) and its link poses `X_HL` (L, 4, 4) end in contact.
+
+    `X_OH` changes where fingers share a joint: the hand gives way until they all touch.
 
     Returns False when the start already penetrates by more than `START_OVERLAP_M`.
     """
@@ -189,9 +283,22 @@ def close_fingers_using(values, origin, inv_spacing, packed, clusters, closing, 
     if clearance < -START_OVERLAP_M:
         return False
     for group in range(closing.groups):
-        for j in range(q.shape[0]):
-            active[j] = closing.group[j] == group
-        _close_group(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X, at_centre)
+        shared = False
+        for link in range(closing.branch.shape[0]):
+            shared = shared or (closing.link_group[link] == group and closing.branch[link] >= 0)
+        gone = 0.0
+        for turn in range(MAX_SHIFTS + 1):
+            for j in range(q.shape[0]):
+                active[j] = closing.group[j] == group
+            _close_group(
+                values, origin, inv_spacing, packed, clusters, closing, group, X_OH, q, X_HL, active, X, at_centre
+            )
+            if not shared or gone > ALL_SHIFTS_M or turn == MAX_SHIFTS:
+                break
+            shift = _give_way(values, origin, inv_spacing, packed, clusters, closing, group, X_OH, X_HL, X, at_centre)
+            if shift == 0.0:
+                break
+            gone += shift
     return True
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.force_qp import contact_forces

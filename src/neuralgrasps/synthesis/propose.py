@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
@@ -37,7 +37,7 @@ class Proposals:
 
 
 def poses_from_palm(X_HP: np.ndarray, origin_O: np.ndarray, x_axis: np.ndarray, z_axis: np.ndarray) -> np.ndarray:
-    """Hand poses (N, 4, 4) that put the palm frame, one or N, at `origin_O` with the given axes (unit, perpendicular)."""
+    """Hand poses (N, 4, 4) that put the palm frame (one or N) at `origin_O` with the given unit, perpendicular axes."""
     X_OP = np.zeros((len(origin_O), 4, 4))
     X_OP[:, :3, 0] = x_axis
     X_OP[:, :3, 1] = np.cross(z_axis, x_axis)

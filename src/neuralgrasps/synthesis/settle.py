@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point, rigid_inverse, rigid_product
 from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.grasps.contact import link_is_farther, link_pose_in_object

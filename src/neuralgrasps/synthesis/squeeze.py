@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.grasps.force_qp import ContactForces
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.jacobian import point_jacobian
 from neuralgrasps.kinematics.tree import PRISMATIC
+from neuralgrasps.sim.build import leaders
 from neuralgrasps.synthesis.candidates import GraspProblem
 
 EFFORT_SHARE = 0.9  # of its torque limit that no joint's squeeze exceeds
 CLOSING_SHARE = 0.5  # of its torque limit that every closing joint of a dexterous hand adds
 JAW_SQUEEZE_M = 0.010  # a jaw's target lies this far past contact
 JAW_SQUEEZE_RAD = 0.15  # the same for a jaw on a turning linkage: about as much force, 0.1 m from the joint
+GAP_M = 1.0e-3  # between pads and object that a jaw's target makes up for: stiff transmissions have no more to give
 PREGRASP_RAD = 0.12  # closing joints start this far back
 PREGRASP_JAW_M = 0.010
 
 
 def joint_scale(hand: Hand, revolute: float, prismatic: float) -> np.ndarray:
-    """(J,) `prismatic` for joints that slide, `revolute` for the others."""
-    slides = ((hand.tree.joint_types == PRISMATIC)[:, None] & (hand.tree.coupling != 0)).any(axis=0)
-    return np.where(slides, prismatic, revolute)
+    """(J,) `prismatic` for joints whose servo slides, `revolute` for the others, whatever kind follows them."""
+    links, _, _ = leaders(hand)
+    return np.where(hand.tree.joint_types[links] == PRISMATIC, prismatic, revolute)
 
 
 def pregrasp_joints(hand: Hand, q: np.ndarray) -> np.ndarray:
@@ -76,12 +78,15 @@ def squeeze_joints(
     stiffness: np.ndarray,
     idle: np.ndarray,
 ) -> np.ndarray:
-    """Position targets (J,) whose servo torques press on the object without pushing it away.
+    """Position targets (J,) whose servo torques press on the object and push it away as little as they can.
+
+    They mean something only with the servo they are for: `stiffness` is the protocol's.
 
     The contact forces are those of least net wrench (`force_qp`); their joint torques are scaled until one reaches
     `EFFORT_SHARE` of its limit, closing joints of fingers that touch add `CLOSING_SHARE` of theirs, and every torque is
     clipped to `EFFORT_SHARE`; target = q + torque / stiffness. A jaw's target lies `JAW_SQUEEZE_M` past contact, with
-    the same bound. No servo is ever asked for more than `EFFORT_SHARE` of its limit; idle fingers stay where they are.
+    the same bound from a pad's way of `GAP_M` on. Idle fingers stay where they are. The object still shifts by some
+    millimetres: the share that closing joints add is not balanced, and no contact is where it was planned.
 
     Args:
         problem: the pair.
@@ -93,7 +98,7 @@ def squeeze_joints(
     most = EFFORT_SHARE * hand.tree.effort
     if hand.is_jaw:
         past = joint_scale(hand, JAW_SQUEEZE_RAD, JAW_SQUEEZE_M)
-        return q + np.clip(closing * past * stiffness, -most, most) / stiffness
+        return q + GAP_M * problem.closing.unit + np.clip(closing * past * stiffness, -most, most) / stiffness
     points, links = contacts
     torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links)
     torque *= EFFORT_SHARE / max(np.abs(torque / hand.tree.effort).max(), 1e-9)

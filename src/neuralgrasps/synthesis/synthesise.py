@@ -264,7 +264,8 @@ def _prove(
     threads: int,
 ) -> None:
     """Finish candidates and try them in physics, in order, until none of this kind is missing."""
-    provenance = {name: str(value) for name, value in asdict(config).items()}
+    texts = ((name, "" if value is None else value) for name, value in asdict(config).items())
+    provenance = {name: ", ".join(value) if isinstance(value, tuple) else str(value) for name, value in texts}
     done = 0
     while done < len(refined) and quotas.missing(kind):
         rows = np.arange(done, min(done + quotas.missing(kind) + _MORE_NICHES, len(refined)))
