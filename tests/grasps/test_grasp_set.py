@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import pickle
+import re
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from neuralgrasps.errors import DataFormatError, InputError, ShapeError, Storage
 from neuralgrasps.grasps import grasp_io
 from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict, array_fields, concatenate, empty_grasps, pad_contacts
+from neuralgrasps.hands.fingerprint import hand_fingerprint
 
 
 def make_grasps(count: int = 6, contacts: int = 4, seed: int = 0, *, verdict: bool = True) -> GraspSet:
@@ -189,6 +191,43 @@ def test_files_give_back_what_was_saved(tmp_path_factory, count, contacts, seed)
     assert save_grasps(path, grasps) == path
     assert_same(load_grasps(path), grasps)
     assert [p.name for p in path.parent.iterdir()] == ["set.safetensors"]
+
+
+def description_of(path):
+    data = path.read_bytes()
+    return json.loads(json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]["description"])
+
+
+def test_a_file_explains_itself(tmp_path, jaw):
+    grasps = replace(make_grasps(), hand=jaw.name, **{n: np.zeros((6, 2)) for n in ("q", "q_pregrasp", "q_squeeze")})
+    path = save_grasps(tmp_path / "set.safetensors", grasps, hand=jaw, object_fingerprint="abc")
+    described = description_of(path)
+    assert described["joints"] == ["right", "left"] and described["links"] == ["base", "right", "left"]
+    assert described["hand_fingerprint"] == hand_fingerprint(jaw) and described["object_fingerprint"] == "abc"
+    tensors = {re.sub(r"verdict\.\d+", "verdict.I", name) for name in load(path.read_bytes())}
+    assert set(described["columns"]) == tensors
+    assert_same(load_grasps(path), grasps)
+
+
+def test_a_file_without_a_hand_is_read_as_are_older_ones(tmp_path):
+    path = save_grasps(tmp_path / "set.safetensors", make_grasps())
+    assert not {"joints", "links", "hand_fingerprint", "object_fingerprint"} & set(description_of(path))
+    data = path.read_bytes()
+    arrays, metadata = load(data), json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]
+    older = json.loads(metadata["description"])
+    del older["columns"]
+    metadata["description"] = json.dumps(older)
+    metadata["sha256"] = grasp_io._checksum(arrays, metadata["description"])
+    path.write_bytes(save(arrays, metadata))
+    assert_same(load_grasps(path), make_grasps())
+
+
+def test_the_hand_of_other_grasps_is_refused(tmp_path, jaw):
+    with pytest.raises(InputError, match="are of hand 'jaw', but hand 'toy_jaw'"):
+        save_grasps(tmp_path / "set.safetensors", make_grasps(), hand=jaw)
+    with pytest.raises(ShapeError, match="q has 3 columns"):
+        save_grasps(tmp_path / "set.safetensors", replace(make_grasps(), hand=jaw.name), hand=jaw)
+    assert not list(tmp_path.iterdir())
 
 
 def test_damaged_files_are_refused(tmp_path):
