@@ -31,6 +31,9 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with a broken file of every kind."""
     monkeypatch.chdir(tmp_path)
     Path("empty_folder").mkdir()
+    Path("bad_parts").mkdir()
+    Path("bad_parts/a.stl").touch()
+    Path("bad_parts/b.stl").touch()
     Path("cycle.urdf").write_text(CYCLE)
     Path("nan.urdf").write_text(NAN)
     Path("bare.urdf").write_text(BARE)
@@ -68,6 +71,14 @@ SYNTHESISE = ("synthesise", "--hand", "panda", "--object", "gelatin_box", "--cou
         (("synthesise", "--hand", "pandda", "--object", "gelatin_box"), "Did you mean 'panda'?"),
         (("synthesise", "--hand", "cycle.urdf", "--object", "gelatin_box"), "cycle"),
         (("synthesise", "--hand", "panda"), "--object is missing"),
+        (("synthesise",), "--hand and --object are missing"),
+        ((*SYNTHESISE, "--seed", -1), "--seed is -1; expected 0 or more"),
+        (("demo", "--seed", -1), "--seed is -1"),
+        (("bench", "demo", "--seed", -1), "--seed is -1"),
+        (("dataset", "build", "nowhere", "--seed", -1), "--seed is -1"),
+        (("pose", "mustard_bottle", "--seed", -1), "--seed is -1"),
+        (("synthesise", "--hands", "panda", "--objects", "gelatin_box", "flat.off"), "flat"),
+        (("synthesise", "--hands", "panda", "--objects", "bad_parts"), "none of 2 mesh files can be used"),
         (("synthesise", "--hand", "panda", "--all"), "Choose one way"),
         ((*SYNTHESISE, "--protocol", "shakes"), "Did you mean 'shake'?"),
         ((*SYNTHESISE[:-1], 0), "count is 0"),

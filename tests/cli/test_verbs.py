@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -72,7 +73,15 @@ def test_synthesise_pairs(pipeline: Pipeline) -> None:
     record = pipeline.record
     assert record["grasps"] == 12 and [p["hand"] for p in record["pairs"]] == ["panda", "fetch"]
     assert all(p["penetration_p95_mm"] < 1.0 and 0 < p["physics_success_share"] <= 1 for p in record["pairs"])
-    assert len(neuralgrasps.load_grasps(pipeline.grasps / "gelatin_box" / "panda.safetensors")) == 6
+    file = pipeline.grasps / "gelatin_box" / "panda.safetensors"
+    assert len(neuralgrasps.load_grasps(file)) == 6
+    described, hand = _description(file), neuralgrasps.load_hand("panda")
+    assert described["joints"] == list(hand.tree.dof_names) and described["links"] == list(hand.tree.link_names)
+
+
+def _description(file: str | Path) -> dict[str, Any]:
+    data = Path(file).read_bytes()
+    return json.loads(json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])["__metadata__"]["description"])
 
 
 def test_the_mass_given_for_many_pairs_is_that_of_every_object(
@@ -109,10 +118,16 @@ def test_synthesise_own_files_with_a_page(ng: Call, tmp_path: Path, monkeypatch:
         "g/a.safetensors",
     )
     assert made.code == 0, made.err
-    assert made.result["validated"] == 2 and made.result["wall_s"] > 0 and made.result["grasps_per_minute"] > 0
+    assert made.result["validated"] == 2 and made.result["wall_s"] > made.result["compile_s"] >= 0
+    running_s = made.result["wall_s"] - made.result["compile_s"]
+    assert made.result["grasps_per_minute"] == pytest.approx(120 / running_s)
     page = Path("page/p.html").read_text()
     assert "my.off" in page and page.count("data:image/") == 5  # two grasps, their contact maps, the hand
     grasps = neuralgrasps.load_grasps("g/a.safetensors")
+    described = _description("g/a.safetensors")
+    assert len(described["joints"]) == 1 and len(described["links"]) > 2
+    assert described["hand_fingerprint"] and described["object_fingerprint"]
+    assert (grasps.config["also"], grasps.config["power_share"]) == ("dexgraspbench-hard, shake", "")
     assert grasps.validated.all() and grasps.config["hand_source"] == str(tmp_path / "my.xml")
     measured = ng("evaluate", "g/a.safetensors")  # finds the files again
     assert measured.code == 0 and measured.result["pairs"][0]["held_share"] == 1
@@ -155,6 +170,26 @@ def test_the_feasibility_table(ng: Call, pipeline: Pipeline, wall: Path, tmp_pat
     page = (tmp_path / "page" / "p.html").read_text()
     assert page.count("<figure>") - page.count('class="plot"') == 12  # two sheets of six
     assert "too wide" in page and 'href="#sheet-1"' in page
+
+
+def test_a_bad_file_in_a_folder_is_skipped_and_said(ng: Call, wall: Path, tmp_path: Path) -> None:
+    parts, folder = tmp_path / "parts", tmp_path / "g"
+    parts.mkdir()
+    shutil.move(wall, parts / "wall.off")
+    (parts / "empty.stl").touch()
+    made = ng("synthesise", "--hands", "panda", "--objects", parts, "--count", 1, "--out-dir", folder, "--workers", 1)
+    assert made.code == 1 and [p["object"] for p in made.result["pairs"]] == ["wall"]  # too wide for any grasp
+    (skipped,) = made.result["skipped"]
+    assert skipped["object"] == str(parts / "empty.stl") and "empty (0 bytes)" in skipped["reason"]
+    assert json.loads((folder / "feasibility.json").read_text())["skipped"] == [skipped]
+    assert "Skipped:" in made.out and skipped["reason"] in made.out
+
+
+def test_jaws_say_that_they_ignore_the_power_share(ng: Call, wall: Path, tmp_path: Path) -> None:
+    quick = ("--object", wall, "--count", 1, "--max-rounds", 1, "--out", tmp_path / "g.safetensors")
+    ignored = "--power-share is ignored: 'panda' is a parallel jaw"
+    assert ignored in ng("synthesise", "--hand", "panda", *quick, "--power-share", 0.5).err
+    assert ignored not in ng("synthesise", "--hand", "panda", *quick).err
 
 
 def test_only_infeasible_pairs_is_a_failure_with_a_table(ng: Call, wall: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from neuralgrasps.cli.options import AllNames, OptionalFile, OptionalInt, Workers
+from neuralgrasps.cli.options import AllNames, OptionalFile, OptionalInt, Workers, check_seed
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
@@ -41,6 +41,7 @@ def bench(
     from neuralgrasps.cli.bench_demo import bench_demo
     from neuralgrasps.cli.bench_synthesis import bench_synthesis
 
+    check_seed(seed)
     if count is not None and count < 1:
         raise InputError(f"--count is {count}; expected at least 1.")
     options: dict[str, Any] = {

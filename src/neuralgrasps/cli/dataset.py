@@ -18,7 +18,7 @@ from neuralgrasps.cli.models import (
     warn_of_damage,
     write_sources,
 )
-from neuralgrasps.cli.options import Folder, Names, PositionalFolder, Unit, Workers
+from neuralgrasps.cli.options import Folder, Names, PositionalFolder, Unit, Workers, check_seed
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
 from neuralgrasps.errors import DataFormatError, InputError
@@ -61,6 +61,7 @@ def build(
     from neuralgrasps.parallel import available_cpus
 
     check_writable(out, folder=True)
+    check_seed(seed)
     config = DatasetConfig(seed=seed, queries_per_scene=queries, store_samples=store_samples)
     sets, recorded = read_grasp_files(grasps)
     empty = [f"{g.hand} on {g.object}" for g in sets if len(g) == 0]

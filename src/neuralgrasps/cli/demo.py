@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from neuralgrasps.cli.options import AllNames, Folder, Workers
+from neuralgrasps.cli.options import AllNames, Folder, Workers, check_seed
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal
 
@@ -41,6 +41,7 @@ def demo(
     from neuralgrasps.demo.run import run_demo
     from neuralgrasps.hands.zoo import hand_names
 
+    check_seed(seed)
     check_writable(out, folder=True)
     config = DemoConfig(
         objects=objects,

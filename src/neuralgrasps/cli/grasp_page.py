@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import numpy as np
 
 import neuralgrasps
+from neuralgrasps.cli.compiling import of_it_compiling
 from neuralgrasps.cli.progress import ProgressBar
 from neuralgrasps.cli.terminal import counted
 from neuralgrasps.parallel import available_cpus
@@ -150,7 +151,7 @@ def _key_figures(figures: Mapping[str, Any]) -> tuple[KeyFigure, ...]:
         KeyFigure(
             value=f"{figures['grasps_per_minute']:.0f}",
             label="grasps per minute",
-            note=f"{figures['cpu_s']:.1f} CPU seconds in all",
+            note=f"{figures['cpu_s']:.1f} CPU seconds in all{of_it_compiling(figures['compile_s'])}",
         ),
     )
 

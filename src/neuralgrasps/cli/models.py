@@ -57,6 +57,45 @@ def warn_of_damage(terminal: Terminal, objects: Iterable[ObjectModel]) -> None:
             )
 
 
+def warn_of_guesses(terminal: Terminal, hands: Iterable[Hand], *, power_share: float | None) -> None:
+    """Lines on stderr: what is doubtful about hands read without notes, and options that jaws make no use of."""
+    for hand in hands:
+        for line in hand.extra.get("annotated", "").splitlines():
+            if "looks wrong" in line or "state 'fingers'" in line:
+                terminal.complain(f"warning: '{hand.name}': {line}")
+        if power_share is not None and hand.is_jaw:
+            terminal.complain(f"warning: --power-share is ignored: '{hand.name}' is a parallel jaw.")
+
+
+def open_readable(
+    specs: Sequence[str], *, named: Sequence[str], unit: str = "auto", mass_kg: float | None = None
+) -> tuple[dict[str, ObjectModel], dict[str, str], dict[str, str]]:
+    """`open_objects`, but a file that no one named (it was in a folder) and that cannot be used is left out.
+
+    Returns:
+        objects by name; their names or files, by name; and why others were left out, by file.
+    Raises:
+        NeuralGraspsError: one of `named` cannot be used, or none at all.
+    """
+    from neuralgrasps.objects.zoo import load_object
+
+    kept: list[str] = []
+    models: list[ObjectModel] = []
+    skipped: dict[str, str] = {}
+    for spec in specs:
+        try:
+            models.append(load_object(spec, unit=unit, mass_kg=mass_kg))  # type: ignore[arg-type]
+            kept.append(spec)
+        except NeuralGraspsError as error:
+            if spec in named or len(specs) == 1:
+                raise
+            skipped[spec] = str(error)
+    if not models:
+        raise InputError(f"none of {len(specs)} mesh files can be used; the first: {next(iter(skipped.values()))}")
+    found = _by_name("object", kept, models)
+    return found, dict(zip(found, kept, strict=True)), skipped
+
+
 def _by_name(kind: str, specs: Sequence[str], models: Sequence[Any]) -> dict[str, Any]:
     named: dict[str, Any] = {}
     for spec, model in zip(specs, models, strict=True):

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
+from neuralgrasps.errors import InputError
+
 _NO_DEFAULT = "(optional)"
 
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
@@ -24,3 +26,13 @@ NamePath = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE
 PositionalFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 PositionalFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
 Unit = Literal["auto", "m", "mm", "cm", "inch"]
+
+
+def check_seed(seed: int) -> None:
+    """Refuse negative seeds, which not every generator takes.
+
+    Raises:
+        InputError: the seed is negative.
+    """
+    if seed < 0:
+        raise InputError(f"--seed is {seed}; expected 0 or more.")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from neuralgrasps.cli.models import warn_of_damage
-from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalFloat, Unit
+from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalFloat, Unit, check_seed
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
@@ -64,6 +64,7 @@ def pose(
     from neuralgrasps.objects.zoo import load_object
     from neuralgrasps.perception.pose import estimate_pose
 
+    check_seed(seed)
     if (cloud is None) == (depth is None):
         raise InputError("give the observation with either --cloud FILE or --depth FILE.")
     if out is not None:

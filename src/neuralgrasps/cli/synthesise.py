@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from neuralgrasps.cli.models import source_text, warn_of_damage
-from neuralgrasps.cli.options import AllNames, OptionalFile, OptionalFloat, OptionalText, Protocols, Unit, Workers
+from neuralgrasps.cli.models import source_text, warn_of_damage, warn_of_guesses
+from neuralgrasps.cli.options import (
+    AllNames,
+    OptionalFile,
+    OptionalFloat,
+    OptionalText,
+    Protocols,
+    Unit,
+    Workers,
+    check_seed,
+)
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
@@ -62,7 +71,7 @@ def synthesise(
         object_name: name of an object, or a mesh file.
         count: grasps wanted per pair.
         seed: the same seed gives the same grasps.
-        protocol: physics trial that decides: dexgraspbench, dexgraspbench-hard or shake.
+        protocol: physics trial that decides: dexgraspbench, dexgraspbench-quick, dexgraspbench-hard or shake.
         also: other trials whose verdicts are stored with the grasps; --also alone stores none.
         power_share: share of power grasps, 0 to 1, of hands with fingers; the others touch with fingertips only.
         device: where candidates are closed and judged; cuda needs an NVIDIA GPU and the extra 'gpu'.
@@ -81,6 +90,7 @@ def synthesise(
     from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
     get_protocol(protocol)
+    check_seed(seed)
     others = tuple(dict.fromkeys(name for name in also if name != protocol))
     config = SynthesisConfig(
         count=count, protocol=protocol, also=others, power_share=power_share, device=device, max_rounds=max_rounds
@@ -105,15 +115,17 @@ def synthesise(
 
         model, obj = load_hand(hand), load_object(object_name, unit=unit, mass_kg=mass_kg)
     warn_of_damage(terminal, [obj])
-    result, wall_s, cpu_s = _timed(terminal, model, obj, config, seed, workers)
+    warn_of_guesses(terminal, [model], power_share=power_share)
+    result, wall_s, cpu_s, compile_s = _timed(terminal, model, obj, config, seed, workers)
     depth_m = _overlap(terminal, model, obj, result)
-    record = _pair_figures(result, config, depth_m, wall_s=wall_s, cpu_s=cpu_s)
+    record = _pair_figures(result, config, depth_m, wall_s=wall_s, cpu_s=cpu_s, compile_s=compile_s)
     if len(result.grasps):
+        from neuralgrasps.dataset.collect import object_fingerprint
         from neuralgrasps.grasps.grasp_io import save_grasps
 
         grasps = result.grasps.with_config(hand_source=source_text(hand), object_source=source_text(object_name))
         make_parent(out)
-        save_grasps(out, grasps)
+        save_grasps(out, grasps, hand=model, object_fingerprint=object_fingerprint(obj))
         record["file"] = str(out)
         if report is not None:
             from neuralgrasps.cli.grasp_page import write_grasp_page
@@ -146,25 +158,28 @@ def _check_choice(
     if many:
         return
     if hand is None or object_name is None:
-        missing = " and ".join(n for n, v in (("--hand", hand), ("--object", object_name)) if v is None)
-        raise InputError(
-            f"{missing} is missing; expected --hand NAME|FILE --object NAME|FILE, or --all for every pair."
-        )
+        names = [n for n, v in (("--hand", hand), ("--object", object_name)) if v is None]
+        missing = f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'}"
+        raise InputError(f"{missing} missing; expected --hand NAME|FILE --object NAME|FILE, or --all for every pair.")
     if out_dir is not None:
         raise InputError("--out-dir is of many pairs (--all); one pair goes to the file --out.")
 
 
 def _timed(
     terminal: Terminal, hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int, threads: int | None
-) -> tuple[SynthesisResult, float, float]:
-    """The result, and its wall and CPU seconds."""
+) -> tuple[SynthesisResult, float, float, float]:
+    """The result, and its wall, CPU and (of the wall) compiling seconds."""
+    from neuralgrasps.cli.compiling import BEGINS, compile_clock
     from neuralgrasps.parallel import available_cpus
     from neuralgrasps.synthesis.synthesise import synthesise as run
 
     wall, cpu = time.perf_counter(), time.process_time()
-    with terminal.progress(f"{hand.name} on {obj.name}", "grasps") as bar:
+    with (
+        terminal.progress(f"{hand.name} on {obj.name}", "grasps") as bar,
+        compile_clock(lambda: terminal.complain(BEGINS)) as clock,
+    ):
         result = run(hand, obj, config=config, seed=seed, threads=threads or available_cpus(), progress=bar)
-    return result, time.perf_counter() - wall, time.process_time() - cpu
+    return result, time.perf_counter() - wall, time.process_time() - cpu, clock.seconds
 
 
 def _overlap(terminal: Terminal, hand: Hand, obj: ObjectModel, result: SynthesisResult) -> np.ndarray:
@@ -176,9 +191,15 @@ def _overlap(terminal: Terminal, hand: Hand, obj: ObjectModel, result: Synthesis
 
 
 def _pair_figures(
-    result: SynthesisResult, config: SynthesisConfig, depth_m: np.ndarray, *, wall_s: float, cpu_s: float
+    result: SynthesisResult,
+    config: SynthesisConfig,
+    depth_m: np.ndarray,
+    *,
+    wall_s: float,
+    cpu_s: float,
+    compile_s: float,
 ) -> dict[str, Any]:
-    """Numbers of one pair, units in the names."""
+    """Numbers of one pair, units in the names; the rate leaves compilation out."""
     from neuralgrasps.dataset.collect import record_of
     from neuralgrasps.report.feasibility import summarise_pair
 
@@ -189,13 +210,16 @@ def _pair_figures(
         "converged": result.converged,
         "wall_s": wall_s,
         "cpu_s": cpu_s,
-        "grasps_per_minute": 60 * len(result.grasps) / wall_s,
+        "compile_s": compile_s,
+        "grasps_per_minute": 60 * len(result.grasps) / max(wall_s - compile_s, 1e-3),
         "stage_cpu_s": dict(result.cpu_s),
         "outcomes": dict(result.outcomes),
     }
 
 
 def _show_pair(terminal: Terminal, record: Mapping[str, Any], obj: ObjectModel) -> None:
+    from neuralgrasps.cli.compiling import of_it_compiling
+
     success = record["physics_success_share"]
     held = f", {100 * success:.0f} % held" if record["tried_in_physics"] else ""
     terminal.say(f"{record['hand']} on {record['object']}: {record['validated']} of {record['wanted']} grasps")
@@ -214,7 +238,8 @@ def _show_pair(terminal: Terminal, record: Mapping[str, Any], obj: ObjectModel) 
             ("overlap, 95th percentile", f"{record['penetration_p95_mm']:.2f} mm"),
         ]
     speed = f", {record['grasps_per_minute']:.0f} grasps per minute" if record["validated"] else ""
-    facts.append(("time", f"{record['wall_s']:.1f} s, CPU {record['cpu_s']:.1f} s{speed}"))
+    compiling = of_it_compiling(record["compile_s"])
+    facts.append(("time", f"{record['wall_s']:.1f} s{compiling}, CPU {record['cpu_s']:.1f} s{speed}"))
     terminal.facts(facts)
     if repairs := obj.provenance.get("repairs"):
         terminal.say(f"Repaired '{obj.name}': {repairs}.")

@@ -8,9 +8,16 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from neuralgrasps.cli.models import open_hands, open_objects, source_text, warn_of_damage, write_sources
+from neuralgrasps.cli.models import (
+    open_hands,
+    open_readable,
+    source_text,
+    warn_of_damage,
+    warn_of_guesses,
+    write_sources,
+)
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 
@@ -46,12 +53,16 @@ def synthesise_all(
     check_writable(folder, folder=True)
     hand_specs, object_specs = tuple(hands) or hand_names(), object_sources(objects or object_names())
     with terminal.progress("reading hands and objects"):
-        loaded, models = open_hands(hand_specs), open_objects(object_specs, unit=unit, mass_kg=mass_kg)
+        loaded = open_hands(hand_specs)
+        models, object_files, skipped = open_readable(
+            object_specs, named=tuple(objects) or object_specs, unit=unit, mass_kg=mass_kg
+        )
     warn_of_damage(terminal, models.values())
+    warn_of_guesses(terminal, loaded.values(), power_share=config.power_share)
     write_sources(
         folder,
         hands=dict(zip(loaded, map(source_text, hand_specs), strict=True)),
-        objects=dict(zip(models, map(source_text, object_specs), strict=True)),
+        objects={name: source_text(spec) for name, spec in object_files.items()},
     )
     terminal.kept = f"Finished pairs are kept in '{folder}'; the same command goes on from there."
     wall = time.perf_counter()
@@ -64,13 +75,15 @@ def synthesise_all(
     pairs = [summarise_pair(g, record, depth) for g, record, depth in zip(sets, records, depths, strict=True)]
     wall_s = time.perf_counter() - wall
     total = sum(p.validated for p in pairs)
-    about = {"seed": seed, "protocol": config.protocol, "grasps": total, "wall_s": wall_s}
+    about: dict[str, Any] = {"seed": seed, "protocol": config.protocol, "grasps": total, "wall_s": wall_s}
     about["cpu_s"] = sum(p.cpu_s for p in pairs)
+    about["skipped"] = [{"object": file, "reason": reason} for file, reason in skipped.items()]
     table, sheet = write_feasibility(folder, pairs, about)
     result = {"folder": str(folder), "table": str(table), **about, "pairs": [asdict(p) for p in pairs]}
     _show(terminal, pairs)
     terminal.say(f"{counted(total, 'grasp')} of {counted(len(pairs), 'pair')} in {wall_s:.1f} s: {folder}")
     terminal.say(f"Table: {table}, {sheet.name}")
+    terminal.notes([f"{file}: {reason}" for file, reason in skipped.items()], title="Skipped:")
     if report is not None:
         from neuralgrasps.cli.feasibility_page import write_feasibility_page
         from neuralgrasps.report.contact_sheet import SheetPair
