@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, DTypeLike
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.hands.chains import rigid_bodies

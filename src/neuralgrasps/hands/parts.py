@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.mesh import Mesh, box_mesh, capsule_mesh, cylinder_mesh, sphere_mesh
 from neuralgrasps.geometry.shape_kernels import box_sdf, capsule_sdf, convex_sdf, cylinder_sdf, sphere_sdf
 from neuralgrasps.hands.hand import ConvexPart, PartKind

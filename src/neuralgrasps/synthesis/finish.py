@@ -23,7 +23,7 @@ from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.settle import settle
 from neuralgrasps.synthesis.squeeze import joint_scale, pregrasp_joints, squeeze_joints
 
-TOUCH_M = 1.0e-3  # links nearer than this count for the labels
+TOUCH_M = 1.0e-3  # points nearer than this are contacts of a finished grasp
 _OPENING_STEPS = 4
 
 
@@ -52,7 +52,7 @@ def finish_grasps(
     servos = get_protocol(protocol)
     stiffness = joint_scale(hand, servos.revolute.kp, servos.prismatic.kp)
     X_HL = forward_fast(hand.tree, closed.q)
-    points, normals, links = contacts_of(problem, closed.X_OH, X_HL, problem.contact_threshold_m)
+    points, normals, links = contacts_of(problem, closed.X_OH, X_HL)
     squeeze, quality, residual = closed.q.copy(), np.zeros(len(closed)), np.full(len(closed), np.nan)
     for i in range(len(closed)):
         found = int((links[i] >= 0).sum())
@@ -68,7 +68,7 @@ def finish_grasps(
             problem, closed.q[i], closed.X_OH[i], X_HL[i], (points[i, :found], links[i, :found]), balance,
             stiffness=stiffness, idle=idle[i],
         )  # fmt: skip
-    kinds = kinds_of(problem, closed.X_OH, X_HL)
+    kinds = contact_kinds(hand, links)
     grasps = GraspSet(
         hand=hand.name,
         object=obj.name,
@@ -105,15 +105,12 @@ def _without_overlap(problem: GraspProblem, closed: Candidates, idle: np.ndarray
 
 
 def kinds_of(problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray) -> ContactKinds:
-    """Labels of N grasps by the links that are within `TOUCH_M`; a link that only grazes the object does not count."""
-    fine = replace(problem, packed=problem.hand_probe)
-    return contact_kinds(problem.hand, contacts_of(fine, X_OH, X_HL, TOUCH_M)[2])
+    """Labels of N grasps by the links that touch."""
+    return contact_kinds(problem.hand, contacts_of(problem, X_OH, X_HL)[2])
 
 
-def contacts_of(
-    problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray, threshold_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contacts of N grasps: hand points nearer than `threshold_m`, at most 3 a link.
+def contacts_of(problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contacts of N settled grasps: points of the hand, 2 mm apart, nearer than `TOUCH_M`, at most 3 a link.
 
     Returns:
         points (N, C, 3), outward normals (N, C, 3) and links (N, C), padded with nan, nan and -1.
@@ -123,7 +120,7 @@ def contacts_of(
     links = np.full((count, room), -1, np.int32)
     for i in range(count):
         found = find_contacts(
-            *problem.sdf_arrays, problem.packed, X_OH[i], X_HL[i], threshold_m, CONTACTS_PER_LINK,
+            *problem.sdf_arrays, problem.hand_probe, X_OH[i], X_HL[i], TOUCH_M, CONTACTS_PER_LINK,
             points[i], normals[i], links[i],
         )  # fmt: skip
         points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
