@@ -28,11 +28,12 @@ ProblemOf = Callable[[str, str], GraspProblem]
 MakeObject = Callable[..., ObjectModel]
 
 
-def _why(problem: GraspProblem, *, tried: int = 0, held: int = 0, **outcomes: int):
+def _why(problem: GraspProblem, *, tried: int = 0, held: int = 0, by_kind: bool = False, **outcomes: int):
     counts = {name: outcomes.get(name.replace(" ", "_").replace("-", "_"), 0) for name in OUTCOMES}
     return why_short(
-        problem, outcomes=counts, tried=tried, held=held, missing="7 grasps", rounds=3, protocol="dexgraspbench"
-    )
+        problem, outcomes=counts, tried=tried, held=held, missing="7 grasps", other_kind=2, by_kind=by_kind, rounds=3,
+        protocol="dexgraspbench",
+    )  # fmt: skip
 
 
 def test_widths_of_a_box_are_its_sides(solids: dict[str, ObjectModel]) -> None:
@@ -77,6 +78,8 @@ def test_wide_objects_quote_width_and_aperture(problem_of: ProblemOf) -> None:
         ({"few_contacts": 5}, "few contacts", "fewer than two links"),
         ({}, "no room", "no open hand comes near"),
         ({"valid": 5}, "overlaps", "none of 5"),
+        ({"valid": 5, "by_kind": True}, "few of a kind", "7 grasps missing after 3 rounds; of 5 valid"),
+        ({"valid": 5, "by_kind": True, "tried": 10, "held": 3}, "slips", "7 of 10 slipped under 'dexgraspbench'"),
         ({"valid": 5, "tried": 10, "held": 3}, "slips", "7 of 10 slipped under 'dexgraspbench'"),
         ({"valid": 5, "collides": 95, "tried": 4, "held": 3}, "rare", "5 of 100 closed hands"),
     ],

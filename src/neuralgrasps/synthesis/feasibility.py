@@ -18,11 +18,12 @@ from neuralgrasps.synthesis.propose import draw_pairs, draw_preshapes, jaw_apert
 
 TOO_WIDE, TOO_SMALL, TOO_THIN = "too wide", "too small", "too thin"
 NO_OPPOSITE_SIDES, NO_ROOM = "no opposite sides", "no room"
-FEW_CONTACTS, NO_FORCE_CLOSURE, OVERLAPS, SLIPS, RARE = (
-    "few contacts", "no force closure", "overlaps", "slips", "rare",
+FEW_CONTACTS, NO_FORCE_CLOSURE, OVERLAPS, SLIPS, RARE, FEW_OF_A_KIND = (
+    "few contacts", "no force closure", "overlaps", "slips", "rare", "few of a kind",
 )  # fmt: skip
 KINDS = (
     TOO_WIDE, TOO_SMALL, TOO_THIN, NO_OPPOSITE_SIDES, NO_ROOM, FEW_CONTACTS, NO_FORCE_CLOSURE, OVERLAPS, SLIPS, RARE,
+    FEW_OF_A_KIND,
 )  # fmt: skip
 JAW_CLEARANCE_M = 2.0e-3  # pairs nearer to the aperture than this are not proposed
 SMALL_M = 0.03  # an object with no side longer may be too small for fingertips
@@ -64,6 +65,8 @@ def why_short(
     tried: int,
     held: int,
     missing: str,
+    other_kind: int,
+    by_kind: bool,
     rounds: int,
     protocol: str,
 ) -> Shortfall:
@@ -73,17 +76,25 @@ def why_short(
         problem: hand, object and friction.
         outcomes: how many closed hands ended how (`OUTCOMES`).
         tried: grasps that went into physics; held: of them, those that held.
-        missing: what is still wanted, such as "3 power grasps"; rounds: how many rounds of proposals there could be.
+        missing: what is still wanted, such as "3 power grasps"; other_kind: finished grasps that were not of the kind
+            they were refined for; by_kind: precision and power grasps were asked for in a share.
+        rounds: how many rounds of proposals there could be.
         protocol: the physics protocol.
     """
     closed, valid = sum(outcomes.values()), outcomes["valid"]
     if valid == 0:
         return _unfit(problem) or _no_valid(problem, outcomes, closed)
+    if by_kind and held >= 0.5 * tried:
+        return Shortfall(
+            kind=FEW_OF_A_KIND,
+            clause=f"{missing} missing after {rounds} rounds; of {valid} valid candidates too few are of that kind "
+            f"({other_kind} turned out to be of the other), {held} of {tried} tried held '{protocol}'",
+        )
     if tried == 0:
         return Shortfall(
             kind=OVERLAPS,
-            clause=f"none of {valid} candidates passed the fine check of overlap "
-            f"(at most {1e3 * problem.max_penetration_m:g} mm at points 2 mm apart)",
+            clause=f"none of {valid} candidates passed the final check: overlap of at most "
+            f"{1e3 * problem.max_penetration_m:g} mm at points 2 mm apart, force closure of what touches within 1 mm",
         )
     if held < 0.5 * tried:
         return Shortfall(

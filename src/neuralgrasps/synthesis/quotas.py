@@ -40,16 +40,19 @@ class Quotas:
 
     Attributes:
         kept: sets of validated grasps; tried: grasps that went into physics.
+        other_kind: finished grasps that were not of the kind they were refined for.
+        by_kind: precision and power grasps are wanted in a share.
     """
 
     def __init__(self, hand: Hand, count: int, power_share: float | None) -> None:
         self.kept: list[GraspSet] = []
-        self.tried = 0
+        self.tried = self.other_kind = 0
         self._hand = hand
         self._missing: dict[Kind, int] = {"any": count}
         if power_share is not None and not hand.is_jaw:
             power = round(power_share * count)
             self._missing = {"power": power, "precision": count - power}
+        self.by_kind = "any" not in self._missing
 
     @property
     def held(self) -> int:
@@ -79,7 +82,7 @@ class Quotas:
 
     def pools(self, problem: GraspProblem, valid: Candidates) -> dict[Kind, Candidates]:
         """Candidates by kind, for the kinds that are missing."""
-        if "any" in self._missing or len(valid) == 0:
+        if not self.by_kind or len(valid) == 0:
             return dict.fromkeys((kind for kind, missing in self._missing.items() if missing), valid)
         precision = kinds_of(problem, valid.X_OH, forward_fast(self._hand.tree, valid.q)).precision
         masks: dict[Kind, np.ndarray] = {"power": ~precision, "precision": precision}

@@ -98,7 +98,8 @@ class SynthesisResult:
     Attributes:
         grasps: up to `count` validated grasps in farthest-point order (any prefix is diverse).
         converged: `count` was reached.
-        proposals: start poses tried; outcomes: how many ended how (`OUTCOMES`), refinement not counted.
+        proposals: start poses from which a hand was closed, refinement not counted; outcomes: how many ended how
+            (`OUTCOMES`).
         tried: grasps that went into physics, best first of each diverse round; validated: how many held.
         cpu_s: CPU-seconds per stage of this process.
         reason: why fewer than `count` were found; "" when converged.
@@ -161,8 +162,8 @@ def synthesise(
         rng = child_rng(seed, hand.name, obj.content_hash, round_index)
         enough = math.ceil(config.pool * (config.count - quotas.held))
         closed = _draw(problem, config, rng, watch, enough=enough, threads=threads)
-        proposals += config.batch * len(closed)
         everything = Candidates.join(closed)
+        proposals += len(everything)
         outcomes += np.bincount(everything.outcome, minlength=len(OUTCOMES))
         valid = everything.take(everything.outcome == VALID)
         for kind, pool in quotas.pools(problem, valid).items():
@@ -274,7 +275,9 @@ def _prove(
             grasps = finish_grasps(
                 problem, refined.take(rows), protocol=config.protocol, seed=seed, config=provenance, threads=threads
             )
-            grasps = grasps[quotas.of_kind(grasps, kind)]
+            chosen = quotas.of_kind(grasps, kind)
+            quotas.other_kind += int((~chosen).sum())
+            grasps = grasps[chosen]
         if len(grasps) == 0:
             continue
         with watch.stage("physics"):
@@ -299,6 +302,8 @@ def _reason(problem: GraspProblem, outcomes: np.ndarray, quotas: Quotas, config:
         tried=quotas.tried,
         held=quotas.held,
         missing=str(quotas),
+        other_kind=quotas.other_kind,
+        by_kind=quotas.by_kind,
         rounds=config.max_rounds,
         protocol=config.protocol,
     )
