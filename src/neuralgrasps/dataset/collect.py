@@ -131,7 +131,7 @@ def object_fingerprint(obj: ObjectModel) -> str:
 
 
 def pair_key(hand: Hand, obj: ObjectModel, config: SynthesisConfig, seed: int) -> str:
-    """sha256 (hex) of all that the grasps of a pair are made from, each number of the protocol and `ENGINES` included."""
+    """sha256 (hex) of all that the grasps of a pair are made from, with every number of the protocol and `ENGINES`."""
     return _key(hand_fingerprint(hand), object_fingerprint(obj), config, seed)
 
 

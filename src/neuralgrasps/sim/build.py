@@ -42,8 +42,8 @@ def grasp_model(hand: Hand, obj: ObjectModel, protocol: Protocol) -> mujoco.MjMo
     """Compile the model in which every grasp of `obj` by `hand` is tried.
 
     Actuator j is a position servo on independent joint j; its control is the target of `q[j]` (see `leaders`).
-    Hand parts never touch each other (synthesis checks self-collision, at points 4 mm apart); coupled joints follow by equality
-    constraints. Forces on the object are the caller's, through `xfrc_applied`.
+    Hand parts never touch each other (synthesis checks self-collision, at points 4 mm apart); coupled joints follow by
+    equality constraints. Forces on the object are the caller's, through `xfrc_applied`.
 
     Raises:
         RobotDescriptionError: a joint has no usable effort limit, or no joint follows it alone.
