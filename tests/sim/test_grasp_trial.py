@@ -9,14 +9,14 @@ import pytest
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet
-from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.hand import ConvexPart, Hand, PartKind
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.sim.grasp_trial import GraspTrial, silent_engine
+from neuralgrasps.sim.grasp_trial import GraspTrial, Phase, silent_engine
 from neuralgrasps.sim.protocols import Actuation, Protocol, get_protocol
 from neuralgrasps.sim.replay import trial_trajectory
-from neuralgrasps.sim.validate import prescreen, validate_grasps, verdict_parameters
+from neuralgrasps.sim.validate import validate_grasps, verdict_parameters
 
-from .toy import CLOSED, toy_box, toy_grasps, toy_hand
+from .toy import CLOSED, HALF, toy_box, toy_grasps, toy_hand
 
 DEX = get_protocol("dexgraspbench")
 CENTRED = (0.0, 0.0, 0.1)
@@ -137,15 +137,66 @@ def test_ramps_end_at_the_squeeze_target(hand: Hand, box: ObjectModel) -> None:
     np.testing.assert_allclose(recorded.q[-1], grasps.q_squeeze[0], atol=1e-4)
 
 
-def test_prescreen_drops_the_hopeless_and_nothing_that_passes(hand: Hand, box: ObjectModel) -> None:
-    rng = np.random.default_rng(0)
-    centres = [tuple(c) for c in rng.uniform([-0.005, -0.06, 0.08], [0.005, 0.06, 0.18], (20, 3))]
-    grasps = _grasps(hand, box, *centres)
-    keep, success = prescreen(hand, box, grasps), validate_grasps(hand, box, grasps).success
-    assert keep[success].all() and success.any()
-    assert not keep[~success].any()
-    with pytest.raises(InputError, match="shake"):
-        prescreen(hand, box, grasps, "shake")
+def _cage(hand: Hand, *, without: int | None) -> Hand:
+    """Six fixed walls 1 mm off the faces of a centred box, in the order of the forces; the pads reach nothing."""
+    walls = []
+    for k in range(6):
+        axis, side = k // 2, 1 - 2 * (k % 2)
+        size, X_LP = HALF + 0.001, np.eye(4)
+        size[axis] = 0.002
+        X_LP[:3, 3] = CENTRED
+        X_LP[axis, 3] += side * (HALF[axis] + 0.001 + 0.002)
+        walls.append(ConvexPart(link=0, kind=PartKind.BOX, size=size, X_LP=X_LP))
+    return replace(hand, parts=tuple(wall for k, wall in enumerate(walls) if k != without))
+
+
+@pytest.mark.parametrize("missing", [None, *range(6)])
+@pytest.mark.parametrize("protocol", ["dexgraspbench", "shake"])
+def test_a_cage_that_is_open_on_one_side_fails_under_the_pull_to_that_side(
+    hand: Hand, box: ObjectModel, missing: int | None, protocol: str
+) -> None:
+    cage = _cage(hand, without=missing)
+    grasps = _grasps(cage, box, CENTRED)
+    outcome = GraspTrial(cage, box, protocol).run(
+        grasps.X_OH[0], grasps.q_pregrasp[0], grasps.q[0], grasps.q_squeeze[0]
+    )
+    assert outcome.success == (missing is None)
+    assert outcome.held == (6 if missing is None else missing)
+    assert validate_grasps(cage, box, grasps, protocol).success[0] == (missing is None)
+
+
+def test_the_six_forces_are_along_the_axes_of_the_object(hand: Hand, box: ObjectModel) -> None:
+    turn = np.eye(4)
+    turn[:3, :3] = [[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]]  # R_HO
+    turn[:3, 3] = FAR
+    forces: dict[int, np.ndarray] = {}
+    trial = GraspTrial(hand, box, replace(DEX, max_displacement_m=1e3, max_rotation_rad=4.0))
+
+    def observe(phase: Phase, direction: int, data: Any) -> None:
+        applied = data.xfrc_applied[data.body("object").id]
+        if phase is Phase.HOLD:
+            np.testing.assert_array_equal(applied, forces.setdefault(direction, applied.copy()))  # constant
+        else:
+            assert not applied.any()
+
+    q = np.full(1, CLOSED)
+    trial.run(np.linalg.inv(turn), q, q, q, observe=observe)
+    along = {k: turn[:3, :3].T @ force[:3] for k, force in forces.items()}
+    expected = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]  # N, on 0.1 kg at 10 m/s^2
+    assert sorted(along) == list(range(6))
+    np.testing.assert_allclose([along[k] for k in range(6)], expected, atol=1e-12)
+    assert not any(force[3:].any() for force in forces.values())
+
+
+def test_a_hopeless_grasp_is_dropped_in_the_short_first_round(
+    hand: Hand, box: ObjectModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checks = []
+    advance = GraspTrial._advance
+    monkeypatch.setattr(GraspTrial, "_advance", lambda self, *a: checks.append(a[0]) or advance(self, *a))
+    cage = _cage(hand, without=5)  # only the last force can fail
+    assert not validate_grasps(cage, box, _grasps(cage, box, CENTRED)).success[0]
+    assert checks.count(Phase.HOLD) <= 6 * 5  # 0.2 s of 40 ms checks for each force; 2 s are 50
 
 
 def test_half_the_timestep_agrees(hand: Hand, box: ObjectModel) -> None:
