@@ -7,12 +7,7 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
-from neuralgrasps.grasps.epsilon import (
-    epsilon,
-    epsilon_batch,
-    epsilon_qhull,
-    epsilon_upper_bound,
-)
+from neuralgrasps.grasps.epsilon import epsilon, epsilon_qhull, epsilon_scratch, epsilon_with
 from neuralgrasps.grasps.wrench_space import grasp_wrenches
 
 
@@ -43,7 +38,6 @@ CROSS = np.concatenate([np.eye(6), -np.eye(6)])
 def test_known_polytopes(wrenches, radius):
     assert epsilon(wrenches) == pytest.approx(radius, abs=1e-12)
     assert epsilon_qhull(wrenches) == pytest.approx(radius, abs=1e-8)
-    assert epsilon_upper_bound(wrenches) >= radius - 1e-12
 
 
 def test_a_hull_beside_or_touching_the_origin_is_not_force_closure():
@@ -60,18 +54,15 @@ def test_a_hull_beside_or_touching_the_origin_is_not_force_closure():
     assert epsilon(flat) == 0.0  # all wrenches in a 5D subspace
 
 
-def test_unbounded_polar_is_found_where_directions_do_not_see_it():
-    # a thin wedge of separating directions, far thinner than the spacing of the 192 directions
+def test_an_unbounded_polar_is_found_however_thin():
+    # a thin wedge of separating directions
     rng = np.random.default_rng(3)
-    missed = 0
     for _ in range(200):
         normal = rng.standard_normal(6)
         normal /= np.linalg.norm(normal)
         wrenches = rng.standard_normal((60, 6))
         wrenches -= np.outer(np.maximum(wrenches @ normal, 0) + 1e-3, normal)
         assert epsilon(wrenches) == 0.0
-        missed += epsilon_upper_bound(wrenches) > 0
-    assert missed > 20
 
 
 def test_two_soft_contacts_on_a_ball():
@@ -150,14 +141,14 @@ def test_epsilon_agrees_with_qhull_on_random_and_realistic_grasps(contacts):
     assert 0.4 < (slow > 0).mean() < 0.95
     np.testing.assert_array_equal(fast > 0, slow > 0)
     np.testing.assert_allclose(fast, slow, atol=1e-8)
-    bound = np.array([epsilon_upper_bound(w) for w in cases])
-    assert (bound >= slow - 1e-9).all()
 
 
-def test_batch_equals_loop(contacts):
+def test_scratch_that_was_used_before_and_rows_beyond_the_count_change_nothing(contacts):
     cases = contacts.wrench_cases(6, 14)
     counts = np.array([len(w) for w in cases])
     padded = np.full((len(cases), counts.max(), 6), np.nan)
     for row, wrenches in zip(padded, cases, strict=True):
         row[: len(wrenches)] = wrenches
-    np.testing.assert_array_equal(epsilon_batch(padded, counts), [epsilon(w) for w in cases])
+    scratch = epsilon_scratch(counts.max())
+    again = [epsilon_with(row, count, scratch) for row, count in zip(padded, counts, strict=True)]
+    np.testing.assert_array_equal(again, [epsilon(w) for w in cases])
