@@ -5,10 +5,12 @@ from __future__ import annotations
 import copy as copies
 import json
 from dataclasses import fields, is_dataclass, replace
+from importlib.metadata import version
 
 import numpy as np
 import pytest
 
+from neuralgrasps.dataset import collect
 from neuralgrasps.dataset.collect import collect_grasps, pair_key, record_of
 from neuralgrasps.errors import InputError, StorageError
 from neuralgrasps.geometry.primitives import box_mesh, sphere_mesh
@@ -216,6 +218,13 @@ def test_every_number_of_the_protocol_is_in_the_key(hands, objects, monkeypatch,
     else:
         new = replace(old, **{names[0]: _with(getattr(old, names[0]), names[1])})
     monkeypatch.setattr(protocols, "PROTOCOLS", {**protocols.PROTOCOLS, CONFIG.protocol: new})
+    assert pair_key(hands[0], objects[0], CONFIG, 1) != before
+
+
+@pytest.mark.parametrize("name", ["libigl", "mujoco", "numba", "numpy"])
+def test_the_version_of_every_engine_is_in_the_key(hands, objects, monkeypatch, name):
+    before = pair_key(hands[0], objects[0], CONFIG, 1)
+    monkeypatch.setattr(collect, "version", lambda one: version(one) + ("x" if one == name else ""))
     assert pair_key(hands[0], objects[0], CONFIG, 1) != before
 
 
