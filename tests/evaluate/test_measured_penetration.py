@@ -33,10 +33,10 @@ def _grasps(hand, joints) -> GraspSet:
     X_HP = hand.X_HP.copy()
     X_HP[:3, 3] = hand.jaw_pad_H
     q = np.array(joints, float)[:, None]
-    empty = empty_grasps(hand.name, "box", num_joints=1)
     count = len(q)
-    return replace(
-        empty, X_OH=np.repeat((X_OP @ np.linalg.inv(X_HP))[None], count, 0), q=q, q_pregrasp=q, q_squeeze=q,
+    return GraspSet(
+        hand=hand.name, object="box",
+        X_OH=np.repeat((X_OP @ np.linalg.inv(X_HP))[None], count, 0), q=q, q_pregrasp=q, q_squeeze=q,
         contact_points_O=np.zeros((count, 0, 3)), contact_normals_O=np.zeros((count, 0, 3)),
         contact_links=np.zeros((count, 0), np.int32), epsilon=np.zeros(count), penetration_m=np.zeros(count),
     )  # fmt: skip
