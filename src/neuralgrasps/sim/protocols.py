@@ -110,9 +110,9 @@ class Protocol:
 
 
 # DexGraspBench's trial. Where this differs from its code: servos are alike for all hands (its Allegro: kp 5, damping
-# 0.1), so a squeeze target made for one is not a squeeze for the other; the hand's links do not touch each other (there they do,
-# and 10 mm of self-overlap rejects); `solref` and `solimp` hold for both geoms of a contact (there for the hand's);
-# displacement is that of the centre of mass (there of the body's frame).
+# 0.1), so a squeeze target made for one is not a squeeze for the other; the hand's links do not touch each other (there
+# they do, and 10 mm of self-overlap rejects); `solref` and `solimp` hold for both geoms of a contact (there for the
+# hand's); displacement is that of the centre of mass (there of the body's frame).
 _DEXGRASPBENCH = Protocol(name="dexgraspbench")
 
 PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
