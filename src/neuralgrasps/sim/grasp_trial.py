@@ -279,7 +279,8 @@ class GraspTrial:
                 break
             if not self._advance(Phase.HOLD, direction, observe):
                 return None
-            still = still + 1 if np.abs(self.data.qvel).max() < self.protocol.settled_speed else 0
+            if self.protocol.settled_speed > 0.0:
+                still = still + 1 if np.abs(self.data.qvel).max() < self.protocol.settled_speed else 0
         return still
 
     def _checks(self, seconds: float) -> int:

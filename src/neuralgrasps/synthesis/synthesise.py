@@ -69,7 +69,7 @@ class SynthesisConfig:
     max_penetration_m: float = 0.5e-3
     contact_threshold_m: float = 2.5e-3
     power_share: float | None = None
-    spare: float = 1.25
+    spare: float = 1.15
     generations: int = 3
     children: int = 8
     pad_depth_m: float = 0.012
