@@ -29,6 +29,7 @@ JAW_CLEARANCE_M = 2.0e-3  # pairs nearer to the aperture than this are not propo
 SMALL_M = 0.03  # an object with no side longer may be too small for fingertips
 THIN_M = 0.006
 _RAYS, _POSTURES = 8192, 512
+_CORNERS = 0.05  # of the widths, the narrowest: slanted across a corner, where nothing can hold
 _OBSTACLES = {
     "collides": NO_ROOM,
     "few contacts": FEW_CONTACTS,
@@ -158,10 +159,11 @@ def _unfit(problem: GraspProblem) -> Shortfall | None:
             f"the object measures {size_text(obj)}",
         )
     span = hand_span(hand, problem)
-    if widths[0] > span - (JAW_CLEARANCE_M if hand.is_jaw else 0.0):
+    narrowest = widths[int(_CORNERS * len(widths))]
+    if narrowest > span - (JAW_CLEARANCE_M if hand.is_jaw else 0.0):
         what = "aperture" if hand.is_jaw else "fingers span"
         return Shortfall(
-            kind=TOO_WIDE, clause=f"narrowest graspable width {1e3 * widths[0]:.0f} mm, {what} {1e3 * span:.0f} mm"
+            kind=TOO_WIDE, clause=f"narrowest graspable width {1e3 * narrowest:.0f} mm, {what} {1e3 * span:.0f} mm"
         )
     return None
 
