@@ -62,8 +62,8 @@ def test_a_run_measures_its_pairs(ran: BenchResult, pair: PairMeasures, world: t
     assert ran.epsilon is not None and ran.epsilon.count == 4 * COUNT
     record = pair_record(pair)
     assert record["alone_same_grasps"] is True
-    assert record["candidates"] > 100 and 0 < record["valid_candidates"] <= record["candidates"]
-    assert sum(record["outcomes"].values()) <= record["candidates"]
+    assert 0 < record["valid_candidates"] <= record["candidates"]
+    assert sum(record["outcomes"].values()) == record["candidates"]  # every start pose that was closed, no other
     assert sum(record["stage_cpu_s"].values()) == pytest.approx(record["cpu_s"])
     assert record["stage_cpu_s"]["other"] >= -0.02
     assert 0.0 <= record["penetration_p50_mm"] <= record["penetration_p95_mm"] <= record["penetration_max_mm"]

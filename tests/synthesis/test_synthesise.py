@@ -30,7 +30,7 @@ def test_every_grasp_is_proven_distinct_and_complete(hands, solids, name, solid)
     assert validate_grasps(hand, obj, grasps, SMALL.protocol).success.all()
     assert seen[-1] == (SMALL.count, SMALL.count)
     assert result.tried >= result.validated == len(grasps) and 0 < result.physics_success <= 1
-    assert sum(result.outcomes.values()) <= result.proposals
+    assert sum(result.outcomes.values()) == result.proposals > 0
     assert grasps.config["count"] == "4" and grasps.config["protocol"] == "dexgraspbench"
     features = grasp_features(hand, grasps.X_OH, grasps.q)
     gap = np.linalg.norm(features[:, None] - features, axis=-1) + np.eye(len(features))
