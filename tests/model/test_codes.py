@@ -5,7 +5,7 @@ import torch
 from neuralgrasps.errors import InputError, ShapeError, UnknownNameError
 from neuralgrasps.hands.zoo import hand_names, load_hand
 from neuralgrasps.model.codes import (
-    ANCHORS,
+    CELLS,
     CODE_SIZE,
     POSTURE_BLOCK,
     CodeBook,
@@ -60,12 +60,12 @@ def test_palm_block_by_hand() -> None:
     assert np.allclose(palm_block(X_OH, X_HP, np.array([0.1, 0, 0])), [[0, 2, 4, 1, 0, 0, 0, 1, 0]])
 
 
-def test_anchors_are_spread_and_follow_the_object(make_object) -> None:
+def test_cells_are_even_and_follow_the_object(make_object) -> None:
     points = np.random.default_rng(0).uniform(-1, 1, (400, 3)) * [0.05, 0.03, 0.1]
     codec = object_codec("x", points, offset_O=points.mean(axis=0), radius_m=0.01)
-    assert len(set(codec.anchor_index)) == ANCHORS
+    assert len(set(codec.cell_of)) == CELLS
     moved = object_codec("x", points + 1.0, offset_O=points.mean(axis=0) + 1.0, radius_m=0.01)
-    assert np.array_equal(moved.anchor_index, codec.anchor_index)
+    assert np.array_equal(moved.cell_of, codec.cell_of)
     assert np.allclose(moved.descriptor, codec.descriptor)
     with pytest.raises(ShapeError, match="expected"):
         object_codec("x", points[:50], offset_O=np.zeros(3), radius_m=0.01)
@@ -115,3 +115,21 @@ def test_codes_move_with_hand_and_object_together(small_world, make_object) -> N
     radius = field.object_codecs["brick"].radius_m
     again = contact_maps(field.packed["allegro"], turn @ grasps.X_OH, grasps.q, moved, radius_m=radius)
     assert np.allclose(again, maps, atol=1e-5)
+
+
+def test_contact_blocks_bound_the_distance_of_maps() -> None:
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-1, 1, (600, 3)) * [0.05, 0.03, 0.1]
+    codec = object_codec("x", points, offset_O=points.mean(axis=0), radius_m=0.01)
+    maps = rng.random((2, 600)).astype(np.float32)
+    first, second = contact_blocks(maps, codec)
+    by_hand = [maps[0][codec.cell_of == k].sum() * CELLS / 600 for k in range(CELLS)]
+    assert np.allclose(first, by_hand, atol=1e-5)
+    assert np.abs(first - second).mean() <= np.abs(maps[0] - maps[1]).mean()
+    # where one map is above the other everywhere nothing cancels: the distances are equal
+    higher = maps[0] + 0.25
+    assert np.abs(contact_blocks(higher[None], codec)[0] - first).mean() == pytest.approx(0.25, abs=1e-5)
+    with pytest.raises(ShapeError, match="600 contact points"):
+        contact_blocks(maps[:, :500], codec)
+    sizes = np.bincount(codec.cell_of, minlength=CELLS)
+    assert sizes.min() >= 1 and sizes.max() <= 4 * sizes.mean()

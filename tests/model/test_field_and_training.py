@@ -9,7 +9,7 @@ from neuralgrasps.errors import DataFormatError, InputError, ShapeError, Unknown
 from neuralgrasps.geometry.rotation import matrix_from_6d
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.model.checkpoint import load_run, restored_config, save_run
-from neuralgrasps.model.codes import ANCHORS
+from neuralgrasps.model.codes import CELLS
 from neuralgrasps.model.field import GraspField
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.losses import HandPoints, clamped_l1, point_distances, variable_margin_triplet
@@ -37,8 +37,8 @@ def test_field_is_differentiable_in_the_code(small_world) -> None:
     point = torch.tensor([[0.05, 0.06, 0.02]], dtype=torch.float64)
     field(point, code, hand="allegro", object_name="brick").sdf_hand.sum().backward()
     step = torch.zeros_like(code)
-    step[0, ANCHORS : ANCHORS + 3] = torch.tensor([1.0, -2.0, 0.5])
-    step[0, ANCHORS + 9 : ANCHORS + 12] = 0.3
+    step[0, CELLS : CELLS + 3] = torch.tensor([1.0, -2.0, 0.5])
+    step[0, CELLS + 9 : CELLS + 12] = 0.3
     with torch.no_grad():
         values = [field(point, code + e * step, hand="allegro", object_name="brick").sdf_hand for e in (1e-6, -1e-6)]
     numeric = float((values[0] - values[1]) / 2e-6)
@@ -110,15 +110,15 @@ def test_correction_vanishes_with_the_noise_level(small_run) -> None:
 
 def test_noise_keeps_rotations_and_unused_columns() -> None:
     codes = torch.zeros(50, 128)
-    codes[:, ANCHORS + 3], codes[:, ANCHORS + 7] = 1.0, 1.0
+    codes[:, CELLS + 3], codes[:, CELLS + 7] = 1.0, 1.0
     noisy = add_noise(
         codes, torch.full((50,), 0.2), joints=4, contact_noise=0.0, generator=torch.Generator().manual_seed(0)
     )
-    columns = noisy[:, ANCHORS + 3 : ANCHORS + 9]
+    columns = noisy[:, CELLS + 3 : CELLS + 9]
     R = matrix_from_6d(columns)
     assert torch.allclose(torch.cat([R[..., 0], R[..., 1]], dim=-1), columns, atol=1e-5)
-    assert (noisy[:, :ANCHORS] == 0).all() and (noisy[:, ANCHORS + 13 :] == 0).all()
-    assert float(noisy[:, ANCHORS + 9 : ANCHORS + 13].std()) == pytest.approx(0.2, rel=0.2)
+    assert (noisy[:, :CELLS] == 0).all() and (noisy[:, CELLS + 13 :] == 0).all()
+    assert float(noisy[:, CELLS + 9 : CELLS + 13].std()) == pytest.approx(0.2, rel=0.2)
 
 
 def test_losses_by_hand(small_world) -> None:

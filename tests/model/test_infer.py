@@ -85,8 +85,8 @@ def test_contact_block_straight_from_points(small_run, small_world) -> None:
     dense = clouds_of(small_run.field, grasps, range(4), count=20_000)
     seen = encode_points(dense, small_run.field, object_name="brick")
     known = small_run.field.encode(grasps.X_OH[:4], grasps.q[:4], hand="allegro", object_name="brick")
-    outside = known.contact_block < 0.95  # object points inside the hand are at its surface for the points
-    error = np.abs(seen.contact_block - known.contact_block)[outside]
+    outside = known.contact_maps < 0.95  # object points inside the hand are at its surface for the points
+    error = np.abs(seen.contact_maps - known.contact_maps)[outside]
     assert error.max() < 0.1 and error.mean() < 0.005  # sampling only
     assert np.isnan(seen.values[:, 96:]).all()
 

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from neuralgrasps.errors import InputError, ShapeError
-from neuralgrasps.model.codes import ANCHORS, CodeBook, ObjectCodec
+from neuralgrasps.model.codes import CELLS, CodeBook, ObjectCodec, contact_blocks
 from neuralgrasps.objects.symmetry import SymmetryGroup
 
 RERANK = 20
@@ -86,7 +86,7 @@ def retrieve_symmetric(
     Args:
         queries: Q codes with contact maps (their maps are turned instead of the gallery's).
         hand, count, rerank, include_test: as for `retrieve`.
-        symmetry: the object's rotations; codec: its anchors; points_O: (P, 3) its contact points.
+        symmetry: the object's rotations; codec: its cells; points_O: (P, 3) its contact points.
     """
     if queries.contact_maps.shape[1] != len(points_O):
         raise ShapeError(
@@ -94,7 +94,7 @@ def retrieve_symmetric(
         )
     rows = _matching_rows(gallery, codec.name, hand, count, include_test)
     maps = rotated_maps(queries.contact_maps, points_O, symmetry)
-    blocks = maps[:, :, codec.anchor_index]
+    blocks = contact_blocks(maps, codec)
     blocks[:, 0] = queries.contact_block
     return _ranked(blocks, maps, gallery, rows, count=count, rerank=rerank, farthest=False)
 
@@ -134,7 +134,7 @@ def _ranked(
     """Rank gallery rows for queries given in S versions each: blocks (Q, S, 96), maps (Q, S, P)."""
     queries, versions = blocks.shape[:2]
     sign = -1.0 if farthest else 1.0
-    distance = cdist(blocks.reshape(-1, ANCHORS), gallery.contact_block[rows], "cityblock") / ANCHORS
+    distance = cdist(blocks.reshape(-1, CELLS), gallery.contact_block[rows], "cityblock") / CELLS
     distance = distance.reshape(queries, versions, len(rows))
     version = (sign * distance).argmin(axis=1)  # (Q, R)
     best = np.take_along_axis(distance, version[:, None], axis=1)[:, 0]

@@ -24,10 +24,10 @@ from neuralgrasps.model.train import TrainConfig, TrainResult
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.tensor_files import tensor_bytes
 
-VERSION = 1
+VERSION = 2
 RUN_FILE, FIELD_FILE, CODES_FILE = "run.json", "field.safetensors", "codes.safetensors"
 _HAND_ARRAYS = ("lower", "upper", "mean", "basis", "X_HP")
-_OBJECT_ARRAYS = ("anchors_O", "anchor_index", "offset_O", "descriptor")
+_OBJECT_ARRAYS = ("centres_O", "cell_of", "offset_O", "descriptor")
 _BOOK_ARRAYS = ("values", "hand_index", "object_index", "grasp_index", "contact_maps", "is_test")
 
 

@@ -1,9 +1,10 @@
-"""Grasp codes: [contact closeness at 96 anchors | palm frame | posture], 128 numbers for any hand.
+"""Grasp codes: [contact closeness of 96 cells | palm frame | posture], 128 numbers for any hand.
 
-The contact block is the metric: its L1 distance follows the L1 distance of contact maps and has
-the same meaning for all hands. The palm block is the same for all hands too: where the palm is and which way it
-faces. The posture block belongs to one hand: its normalised joints in a basis of its own.
-Codes of known grasps are computed, not fitted, and hold the grasp without loss up to 23 joints.
+The contact block is the metric. The object's contact points are divided into 96 even cells; the block holds the sum of
+each cell's closeness. So its L1 distance is never above the L1 distance of the contact maps, and differs from it only
+where two grasps swap sides within a cell; it has the same meaning for all hands. The palm block is the same for all
+hands too: where the palm is and which way it faces. The posture block belongs to one hand: its normalised joints in a
+basis of its own. Codes of known grasps are computed, not fitted, and hold the grasp without loss up to 23 joints.
 """
 
 from __future__ import annotations
@@ -12,18 +13,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from neuralgrasps.errors import InputError, ShapeError, unknown_name
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.hands.hand import Hand
 
-ANCHORS, PALM, POSTURE = 96, 9, 23
-CODE_SIZE = ANCHORS + PALM + POSTURE
-CONTACT_BLOCK = slice(0, ANCHORS)
-PALM_BLOCK = slice(ANCHORS, ANCHORS + PALM)
-POSTURE_BLOCK = slice(ANCHORS + PALM, CODE_SIZE)
+CELLS, PALM, POSTURE = 96, 9, 23
+CODE_SIZE = CELLS + PALM + POSTURE
+CONTACT_BLOCK = slice(0, CELLS)
+PALM_BLOCK = slice(CELLS, CELLS + PALM)
+POSTURE_BLOCK = slice(CELLS + PALM, CODE_SIZE)
 PALM_UNIT_M = 0.1  # one unit of the palm position
 DESCRIPTOR_SIZE = 16
+_LLOYD_STEPS = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,16 +34,16 @@ class ObjectCodec:
     """What codes need to know of an object.
 
     Attributes:
-        anchors_O: (96, 3) float64 points of the object's surface, metres.
-        anchor_index: (96,) int64, their place among the object's contact points.
+        centres_O: (96, 3) float64 middles of the cells, metres.
+        cell_of: (P,) int32, the cell of each of the object's contact points.
         offset_O: (3,) centre that palm positions are relative to, metres.
         radius_m: decay length of the contact closeness.
         descriptor: (16,) float64, size and shape of the object in about unit numbers (needs no training).
     """
 
     name: str
-    anchors_O: np.ndarray
-    anchor_index: np.ndarray
+    centres_O: np.ndarray
+    cell_of: np.ndarray
     offset_O: np.ndarray
     radius_m: float
     descriptor: np.ndarray
@@ -48,21 +51,50 @@ class ObjectCodec:
 
 def object_codec(name: str, points_O: np.ndarray, *, offset_O: np.ndarray, radius_m: float) -> ObjectCodec:
     """The codec of an object from its (P, 3) contact points, P >= 96."""
-    if points_O.ndim != 2 or points_O.shape[1] != 3 or len(points_O) < ANCHORS:
-        raise ShapeError(f"object '{name}': points_O has shape {points_O.shape}; expected (P >= {ANCHORS}, 3).")
-    start = int(np.argmax(np.linalg.norm(points_O - offset_O, axis=1)))
-    index = farthest_points(points_O, ANCHORS, start=start)
+    if points_O.ndim != 2 or points_O.shape[1] != 3 or len(points_O) < CELLS:
+        raise ShapeError(f"object '{name}': points_O has shape {points_O.shape}; expected (P >= {CELLS}, 3).")
+    centres, cell_of = even_cells(points_O - offset_O)
     centred = (points_O - offset_O) / PALM_UNIT_M
     moments = (centred.T @ centred / len(centred))[np.triu_indices(3)]
     radii = np.quantile(np.linalg.norm(centred, axis=1), np.linspace(0.0, 1.0, 7))
     return ObjectCodec(
         name=name,
-        anchors_O=np.ascontiguousarray(points_O[index], np.float64),
-        anchor_index=index,
+        centres_O=centres + offset_O,
+        cell_of=cell_of,
         offset_O=np.asarray(offset_O, np.float64),
         radius_m=float(radius_m),
         descriptor=np.concatenate([np.ptp(centred, axis=0), moments, radii]),
     )
+
+
+def even_cells(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middles (96, 3) and cell of each point (P,) int32: farthest points, then Lloyd's iteration; no cell is empty."""
+    centres = points[farthest_points(points, CELLS, start=int(np.argmax(np.linalg.norm(points, axis=1))))].copy()
+    cell_of = KDTree(centres).query(points)[1]
+    for _ in range(_LLOYD_STEPS):
+        middles = np.stack([points[cell_of == k].mean(axis=0) for k in range(CELLS)])
+        moved = KDTree(middles).query(points)[1]
+        if len(np.unique(moved)) < CELLS:  # never seen; the cells before are good too
+            break
+        centres, cell_of = middles, moved
+    return np.ascontiguousarray(centres, np.float64), cell_of.astype(np.int32)
+
+
+def contact_blocks(maps: np.ndarray, codec: ObjectCodec) -> np.ndarray:
+    """Contact blocks (..., 96) float32 of contact maps (..., P).
+
+    Each is the sum over a cell times 96 / P, so that the mean |difference| of two blocks is at most that of the maps.
+
+    Raises:
+        ShapeError: the maps are not of this object's contact points.
+    """
+    count = len(codec.cell_of)
+    if maps.shape[-1] != count:
+        raise ShapeError(f"contact maps of {maps.shape[-1]} points; '{codec.name}' has {count} contact points.")
+    order = np.argsort(codec.cell_of, kind="stable")
+    starts = np.searchsorted(codec.cell_of[order], np.arange(CELLS))
+    sums = np.add.reduceat(maps[..., order].astype(np.float64), starts, axis=-1)
+    return (sums * (CELLS / count)).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,15 +170,15 @@ def palm_block(X_OH: np.ndarray, X_HP: np.ndarray, offset_O: np.ndarray) -> np.n
 
 
 def assemble_codes(
-    closeness: np.ndarray, X_OH: np.ndarray, q: np.ndarray, *, hand: HandCodec, obj: ObjectCodec
+    contact: np.ndarray, X_OH: np.ndarray, q: np.ndarray, *, hand: HandCodec, obj: ObjectCodec
 ) -> np.ndarray:
-    """Codes (N, 128) float32 from closeness at the anchors (N, 96), hand poses (N, 4, 4) and joints (N, J)."""
-    if closeness.shape != (len(X_OH), ANCHORS) or q.shape != (len(X_OH), hand.num_joints):
+    """Codes (N, 128) float32 from contact blocks (N, 96), hand poses (N, 4, 4) and joints (N, J)."""
+    if contact.shape != (len(X_OH), CELLS) or q.shape != (len(X_OH), hand.num_joints):
         raise ShapeError(
-            f"closeness {closeness.shape}, X_OH {X_OH.shape}, q {q.shape}; "
-            f"expected (N, {ANCHORS}), (N, 4, 4), (N, {hand.num_joints}) for hand '{hand.name}'."
+            f"contact {contact.shape}, X_OH {X_OH.shape}, q {q.shape}; "
+            f"expected (N, {CELLS}), (N, 4, 4), (N, {hand.num_joints}) for hand '{hand.name}'."
         )
-    blocks = [closeness, palm_block(X_OH, hand.X_HP, obj.offset_O), hand.posture(q)]
+    blocks = [contact, palm_block(X_OH, hand.X_HP, obj.offset_O), hand.posture(q)]
     return np.concatenate(blocks, axis=1).astype(np.float32)
 
 
@@ -161,6 +193,7 @@ class CodeBook:
         grasp_index: (N,) int32, place in the grasp set of that hand and object (-1: from no set).
         contact_maps: (N, P) float32 closeness at all contact points of the object, or (N, 0).
         is_test: (N,) bool, grasps that training must not see.
+        metric_size: how many leading numbers L1 retrieval compares: the contact block, or all 128 of free codes.
     """
 
     values: np.ndarray
@@ -171,6 +204,7 @@ class CodeBook:
     grasp_index: np.ndarray
     contact_maps: np.ndarray
     is_test: np.ndarray = field(default_factory=lambda: np.zeros(0, np.bool_))
+    metric_size: int = CELLS
 
     def __post_init__(self) -> None:
         count = len(self.values)
@@ -192,8 +226,13 @@ class CodeBook:
 
     @property
     def contact_block(self) -> np.ndarray:
-        """(N, 96) the part of the codes in which L1 distance is grasp similarity."""
+        """(N, 96) closeness of the object's cells to the hand."""
         return self.values[:, CONTACT_BLOCK]
+
+    @property
+    def metric(self) -> np.ndarray:
+        """(N, metric_size) the part of the codes in which L1 distance is grasp similarity."""
+        return self.values[:, : self.metric_size]
 
     def __getitem__(self, index: int | slice | np.ndarray) -> CodeBook:
         """The chosen codes, always as a CodeBook."""
@@ -234,6 +273,9 @@ def join_codes(books: Sequence[CodeBook]) -> CodeBook:
     widths = {book.contact_maps.shape[1] for book in books}
     if len(widths) > 1:
         raise ShapeError(f"code books hold contact maps of {sorted(widths)} points; expected one size.")
+    metrics = {book.metric_size for book in books}
+    if len(metrics) > 1:
+        raise ShapeError(f"code books compare {sorted(metrics)} numbers; codes of different fields cannot be joined.")
 
     def renumbered(index: np.ndarray, old: Sequence[str], new: Sequence[str]) -> np.ndarray:
         table: Mapping[str, int] = {name: i for i, name in enumerate(new)}
@@ -248,4 +290,5 @@ def join_codes(books: Sequence[CodeBook]) -> CodeBook:
         grasp_index=np.concatenate([b.grasp_index for b in books]),
         contact_maps=np.concatenate([b.contact_maps for b in books]),
         is_test=np.concatenate([b.is_test for b in books]),
+        metric_size=metrics.pop(),
     )

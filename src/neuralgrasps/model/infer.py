@@ -22,7 +22,7 @@ from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.rotation import exp_so3
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.hands.packed import PackedHand
-from neuralgrasps.model.codes import CODE_SIZE, CONTACT_BLOCK, CodeBook
+from neuralgrasps.model.codes import CODE_SIZE, CONTACT_BLOCK, CodeBook, contact_blocks
 from neuralgrasps.model.hand_fit import fit_cost, fit_hand, score_starts
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.seeds import child_rng
@@ -121,7 +121,7 @@ def encode_points(
         ]
     )
     values = np.full((len(maps), CODE_SIZE), np.nan, np.float32)
-    values[:, CONTACT_BLOCK] = maps[:, codec.anchor_index]
+    values[:, CONTACT_BLOCK] = contact_blocks(maps, codec)
     zeros = np.zeros(len(maps), np.int32)
     return CodeBook(
         values=values,

@@ -24,7 +24,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand, pack_hand
 from neuralgrasps.hands.signed_distance import hand_signed_distance
 from neuralgrasps.model.codes import (
-    ANCHORS,
+    CELLS,
     CODE_SIZE,
     DESCRIPTOR_SIZE,
     PALM,
@@ -34,6 +34,7 @@ from neuralgrasps.model.codes import (
     HandCodec,
     ObjectCodec,
     assemble_codes,
+    contact_blocks,
     hand_codec,
     object_codec,
 )
@@ -138,10 +139,9 @@ class KinematicField:
     ) -> CodeBook:
         """`encode` when the contact maps (N, P) at the object's contact points are there already."""
         codec = self.object_codecs[object_name]
-        closeness = maps[:, codec.anchor_index]
         count = len(X_OH)
         return CodeBook(
-            values=assemble_codes(closeness, X_OH, q, hand=self.hand_codecs[hand], obj=codec),
+            values=assemble_codes(contact_blocks(maps, codec), X_OH, q, hand=self.hand_codecs[hand], obj=codec),
             hands=(hand,),
             objects=(object_name,),
             hand_index=np.zeros(count, np.int32),
@@ -166,7 +166,7 @@ class KinematicField:
         level = torch.as_tensor(noise_level, dtype=codes.dtype, device=codes.device).expand(len(codes))
         if bool((level < 0).any()):
             raise InputError(f"noise_level is {float(level.min())}; expected 0 or more.")
-        blocks = codes[:, ANCHORS:]
+        blocks = codes[:, CELLS:]
         if self.decoder is not None and hand in self.decoder.hands and bool((level > 0).any()):
             descriptor = self.descriptor(object_name, codes)
             blocks = blocks + correction(self.decoder, codes, descriptor, level, hand)

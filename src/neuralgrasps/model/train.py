@@ -16,11 +16,12 @@ from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.geometry.rotation import exp_so3
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.model.codes import (
-    ANCHORS,
+    CELLS,
     PALM,
     CodeBook,
     HandCodec,
     assemble_codes,
+    contact_blocks,
     hand_codec,
     join_codes,
     object_codec,
@@ -211,12 +212,12 @@ def _hand_data(field: KinematicField, dataset: GraspDataset, name: str, config: 
         chosen = dataset.split(hand, object_name).train
         grasps = dataset.grasps(hand, object_name)[chosen]
         obj = field.object_codecs[object_name]
-        closeness = dataset.contact_maps(hand, object_name)[chosen][:, obj.anchor_index]
+        known = contact_blocks(dataset.contact_maps(hand, object_name)[chosen], obj)
         rng = child_rng(config.seed, "jitter", hand, object_name)
         X, q = _jittered(np.array(grasps.X_OH), np.array(grasps.q), field.hand_codecs[hand], config, rng)
-        near = contact_maps(field.packed[hand], X, q, obj.anchors_O, radius_m=obj.radius_m)
+        maps = contact_maps(field.packed[hand], X, q, dataset.object(object_name).points_O, radius_m=obj.radius_m)
         X, q = np.concatenate([grasps.X_OH, X]), np.concatenate([grasps.q, q])
-        near = np.concatenate([closeness, near])
+        near = np.concatenate([known, contact_blocks(maps, obj)])
         codes.append(assemble_codes(near, X, q, hand=field.hand_codecs[hand], obj=obj))
         object_of.append(np.full(len(X), dataset.objects.index(object_name)))
         X_all.append(X)
@@ -258,13 +259,13 @@ def add_noise(codes: Tensor, level: Tensor, *, joints: int, contact_noise: float
     def normal(columns: int) -> Tensor:
         return torch.randn(len(codes), columns, generator=generator, dtype=codes.dtype) * level[:, None]
 
-    palm, posture = codes[:, ANCHORS : ANCHORS + PALM], codes[:, ANCHORS + PALM :]
+    palm, posture = codes[:, CELLS : CELLS + PALM], codes[:, CELLS + PALM :]
     position = palm[:, :3] + normal(3)
     columns = palm[:, 3:].reshape(-1, 2, 3).transpose(1, 2)
     rotation = (exp_so3(normal(3)) @ columns).transpose(1, 2).reshape(-1, 6)
     shift = normal(posture.shape[1])
     shift[:, joints:] = 0.0
-    contact = codes[:, :ANCHORS] + contact_noise * normal(ANCHORS)
+    contact = codes[:, :CELLS] + contact_noise * normal(CELLS)
     return torch.cat([contact, position, rotation, posture + shift], dim=-1)
 
 
@@ -311,7 +312,7 @@ def _hand_loss(
     descriptors = torch.as_tensor(np.stack([o.descriptor for o in objects]), dtype=noisy.dtype)
     offsets = torch.as_tensor(np.stack([o.offset_O for o in objects]), dtype=noisy.dtype)
     place = data.object_of[chosen]
-    blocks = noisy[:, ANCHORS:] + correction(decoder, noisy, descriptors[place], level, hand)
+    blocks = noisy[:, CELLS:] + correction(decoder, noisy, descriptors[place], level, hand)
     # Decode relative to the objects' centres: one call for a batch over several objects.
     grasps = decode_blocks(blocks, codec, objects[0])
     moved = data.material.posed(grasps.X_OH, grasps.q) + (offsets[place] - offsets[0])[:, None]
