@@ -9,6 +9,7 @@ from neuralgrasps.model.codes import (
     CODE_SIZE,
     POSTURE_BLOCK,
     CodeBook,
+    contact_blocks,
     hand_codec,
     join_codes,
     object_codec,
