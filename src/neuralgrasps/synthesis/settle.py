@@ -114,7 +114,7 @@ def _open_fingers(fine, X_HL, excess, active, back, q):  # type: ignore[no-untyp
 
 
 @njit(cache=True, error_model="numpy")
-def _draw_apart(  # type: ignore[no-untyped-def]
+def draw_apart(  # type: ignore[no-untyped-def]
     values, origin, inv_spacing, fine, probe, closing, is_jaw, approach_H, tolerance, X_OH, q, X_HL, depth
 ):
     """Open links and draw the hand back until no link overlaps by more than `tolerance`; returns the deepest left."""
@@ -191,7 +191,7 @@ def _settle(  # type: ignore[no-untyped-def]
     depth = np.empty(packed.link_radius.shape[0])
     for i in range(q.shape[0]):
         idle[i] = False
-        left = _draw_apart(
+        left = draw_apart(
             values, origin, inv_spacing, fine, probe, closing, is_jaw, approach_H, tolerance, X_OH[i], q[i], X_HL, depth
         )
         if not is_jaw:

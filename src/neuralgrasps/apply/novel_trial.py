@@ -1,0 +1,153 @@
+"""What becomes of decoded hands: closed, judged, squeezed, and tried in physics once each."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Literal, get_args
+
+import numpy as np
+
+from neuralgrasps.apply.novel_close import best_variation
+from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.grasps.grasp_set import GraspSet, concatenate, empty_grasps
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.seeds import child_rng
+from neuralgrasps.sim.build import contact_friction
+from neuralgrasps.sim.protocols import get_protocol
+from neuralgrasps.sim.validate import validate_grasps
+from neuralgrasps.synthesis.candidates import (
+    COLLIDES,
+    FEW_CONTACTS,
+    NO_FORCE_CLOSURE,
+    VALID,
+    Candidates,
+    GraspProblem,
+    make_problem,
+)
+from neuralgrasps.synthesis.close import START_OVERLAP_M
+from neuralgrasps.synthesis.finish import finish_grasps
+from neuralgrasps.synthesis.settle import settle
+from neuralgrasps.synthesis.synthesise import SynthesisConfig
+
+Kind = Literal["noise", "midpoint", "sample", "gaussian"]
+# What became of a code, from first to last obstacle.
+PENETRATING, NOT_CLOSED, NOT_FORCE_CLOSURE, NOT_HELD, HELD = range(5)
+NOVEL_OUTCOMES = ("penetrating", "not closed", "no force closure", "not held", "held")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NovelConfig:
+    """How codes are made and tried.
+
+    Attributes:
+        kind: "noise": a known code plus Gaussian noise; "midpoint": between a known code and a neighbour; "sample":
+            from a kernel density over known codes; "gaussian": from one Gaussian over them.
+        count: codes. spread: of the noise, in standard deviations of the known codes, component by component.
+        share: of the way from a code to its neighbour.
+        search: variations of a decoded hand that are closed too; the one of largest epsilon goes into physics. 0: one
+            decoding, one closing, one trial per code. There is one trial per code in any case.
+        noise_level: told to the decoder; above 0 its trained network moves the code towards known grasps first.
+        protocol: physics protocol that decides.
+    Raises:
+        InputError, UnknownNameError: a value that makes no sense.
+    """
+
+    kind: Kind = "noise"
+    count: int = 20
+    spread: float = 0.1
+    share: float = 0.5
+    search: int = 0
+    noise_level: float = 0.0
+    protocol: str = "dexgraspbench"
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(Kind):
+            raise unknown_name("kind", self.kind, get_args(Kind))
+        if self.count < 1:
+            raise InputError(f"novel grasps: count is {self.count}; expected at least 1.")
+        for name in ("spread", "search", "noise_level"):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise InputError(f"novel grasps: {name} is {value}; expected 0 or more.")
+        if not 0 <= self.share <= 1:
+            raise InputError(f"novel grasps: share is {self.share}; expected 0 (the code) to 1 (its neighbour).")
+        get_protocol(self.protocol)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trials:
+    """What became of N decoded hands.
+
+    Attributes:
+        outcome: (N,) int8, one of `NOVEL_OUTCOMES`.
+        grasps: those in force closure, with the verdict of the protocol, in order.
+        place: (N,) int64, row of `grasps`, -1 for those that did not get there.
+    """
+
+    outcome: np.ndarray
+    grasps: GraspSet
+    place: np.ndarray
+
+
+def try_decoded(
+    hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, *, config: NovelConfig, seed: int, threads: int = 1
+) -> Trials:
+    """Close, judge, settle and squeeze N decoded hands, and try each once in physics.
+
+    Args:
+        X_OH: (N, 4, 4); q: (N, J) as decoded. seed: of the variations, if `config.search` asks for any.
+        threads: of the physics trials; the result does not depend on it.
+    """
+    problem = novel_problem(hand, obj, config.protocol)
+    count = len(q)
+    outcome, place = np.empty(count, np.int8), np.full(count, -1, np.int64)
+    finished: list[GraspSet] = []
+    texts = {f"novel_{name}": str(value) for name, value in asdict(config).items()}
+    for i in range(count):
+        best, overlap = best_variation(
+            problem, X_OH[i], q[i], search=config.search, rng=child_rng(seed, "variations", i)
+        )
+        outcome[i] = _failure(int(best.outcome[0]), overlap)
+        if outcome[i] != NOT_HELD:
+            continue
+        one = finish_grasps(problem, best, protocol=config.protocol, seed=seed, config=texts)
+        if len(one) == 0:
+            outcome[i] = _why_dropped(problem, best)
+            continue
+        place[i] = len(finished)
+        finished.append(one)
+    if not finished:
+        none = empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
+        return Trials(outcome=outcome, grasps=none.with_config(**texts), place=place)
+    grasps = concatenate(finished)
+    verdict = validate_grasps(hand, obj, grasps, config.protocol, threads=threads)
+    outcome[place >= 0] = np.where(verdict.success, HELD, NOT_HELD)
+    return Trials(outcome=outcome, grasps=grasps.with_verdict(config.protocol, verdict), place=place)
+
+
+def novel_problem(hand: Hand, obj: ObjectModel, protocol: str) -> GraspProblem:
+    """The pair as `synthesise` would see it: friction of the protocol, overlap and contacts by its defaults."""
+    sliding, torsional, _ = contact_friction(obj, get_protocol(protocol))
+    usual = SynthesisConfig()
+    return make_problem(
+        hand, obj, friction=sliding, torsion=torsional, contact_threshold_m=usual.contact_threshold_m,
+        max_penetration_m=usual.max_penetration_m,
+    )  # fmt: skip
+
+
+def _failure(closed: int, overlap_m: float) -> int:
+    """What stopped a closed hand, or NOT_HELD when nothing did so far."""
+    if closed == VALID:
+        return NOT_HELD
+    if closed == NO_FORCE_CLOSURE:
+        return NOT_FORCE_CLOSURE
+    if closed == FEW_CONTACTS or (closed == COLLIDES and overlap_m <= START_OVERLAP_M):
+        return NOT_CLOSED
+    return PENETRATING
+
+
+def _why_dropped(problem: GraspProblem, closed: Candidates) -> int:
+    settled, _ = settle(problem, closed)
+    overlaps = settled.penetration_m[0] > problem.max_penetration_m
+    return PENETRATING if overlaps else NOT_FORCE_CLOSURE
