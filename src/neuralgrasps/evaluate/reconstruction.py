@@ -2,35 +2,107 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.dataset.read import GraspDataset
-from neuralgrasps.dataset.samples import hand_distances
+from neuralgrasps.dataset.samples import Normalisation, normalisation_of
+from neuralgrasps.errors import ShapeError
+from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.mesh_tree import build_tree, tree_distance
 from neuralgrasps.geometry.sampling import sample_surface
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.model.codes import CodeBook
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.reconstruct import (
     QUERIES,
-    PublishedChamfer,
+    ChamferScene,
+    Shape,
     SignedDistance,
     SurfaceErrors,
-    hand_surface_distances,
+    f_score,
+    posed_hands,
     published_chamfer,
+    surface_distances,
     surface_errors,
 )
-from neuralgrasps.seeds import child_seed
+from neuralgrasps.seeds import child_rng, child_seed
 
 SURFACE_POINTS = 20_000
+F_SCORES_M = (0.001, 0.002)
 
-Progress = Callable[[int, int, str], None]
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeScores:
+    """N reconstructed shapes against the true ones.
+
+    Attributes:
+        chamfer, oracle: (N,) the published measure x 1 (the paper prints x 1e-3), and that of a perfect field.
+        distances_m: (N, 2, M) surface to surface, metres: points of the reconstructed one, then of the true one.
+    """
+
+    chamfer: np.ndarray
+    oracle: np.ndarray
+    distances_m: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.chamfer)
+
+    @property
+    def surface(self) -> SurfaceErrors:
+        """Both ways and all shapes pooled."""
+        return surface_errors(self.distances_m)
+
+    def f_scores(self, threshold_m: float) -> np.ndarray:
+        """(N,) `f_score` of each shape."""
+        return np.array([f_score(there, back, threshold_m) for there, back in self.distances_m])
+
+
+def score_shapes(
+    given: Mapping[str, Sequence[Shape]],
+    true: Sequence[Shape],
+    *,
+    normalisation: Normalisation,
+    seeds: Sequence[int],
+    queries: int = QUERIES,
+    points: int = 1000,
+) -> dict[str, ShapeScores]:
+    """Score several kinds of reconstruction of the same shapes; queries and oracle are made once per shape.
+
+    Args:
+        given: kind -> N reconstructions. true: N shapes; seeds: N, of queries and surface points.
+        queries: of the published measure. points: per surface and shape, for the surface distances.
+    Raises:
+        ShapeError: not one reconstruction and seed for every true shape.
+    """
+    lengths = {kind: len(shapes) for kind, shapes in given.items()} | {"seeds": len(seeds)}
+    if any(length != len(true) for length in lengths.values()):
+        raise ShapeError(f"{lengths} for {len(true)} true shapes; expected one each.")
+    scores: dict[str, list[tuple[float, float, np.ndarray]]] = {kind: [] for kind in given}
+    for i, (shape, seed) in enumerate(zip(true, seeds, strict=True)):
+        scene = ChamferScene(
+            shape.signed_distance,
+            shape.surface_points(SURFACE_POINTS, child_rng(seed, "true surface")),
+            normalisation=normalisation,
+            seed=child_seed(seed, "queries"),
+            queries=queries,
+            bounds_O=shape.bounds_O,
+        )
+        for kind, shapes in given.items():
+            chamfer = scene.score(shapes[i].signed_distance, bounds_O=shapes[i].bounds_O).chamfer
+            distances = surface_distances(shapes[i], shape, points=points, rng=child_rng(seed, "surface"))
+            scores[kind].append((chamfer, scene.oracle, distances))
+    return {
+        kind: ShapeScores(
+            chamfer=np.array([row[0] for row in rows]),
+            oracle=np.array([row[1] for row in rows]),
+            distances_m=np.array([row[2] for row in rows]).reshape(-1, 2, points),
+        )
+        for kind, rows in scores.items()
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,58 +155,72 @@ def reconstruct_hands(
     """
     book = codes[codes.where(hand=hand, object_name=object_name)]
     grasps = dataset.grasps(hand, object_name)[book.grasp_index.astype(np.int64)]
-    with torch.no_grad():
-        decoded = field.decode(torch.as_tensor(book.values.astype(np.float64)), hand=hand, object_name=object_name)
-    X_OH, q = decoded.X_OH.numpy(), decoded.q.numpy()
     packed = field.packed[hand]
-    distances = hand_surface_distances(packed, X_OH, q, grasps.X_OH, grasps.q, seed=seed, points=points)
-    frame = dataset.object(object_name).normalisation
-    scores: list[PublishedChamfer] = []
-    for i in range(len(book)):
-        rng = np.random.default_rng(child_seed(seed, "true surface", hand, object_name, i))
-        scores.append(
-            published_chamfer(
-                posed_distance(packed, X_OH[i], q[i]),
-                posed_distance(packed, grasps.X_OH[i], grasps.q[i]),
-                sample_posed_surface(packed, grasps.X_OH[i], grasps.q[i], SURFACE_POINTS, rng),
-                normalisation=frame,
-                seed=child_seed(seed, "queries", hand, object_name, i),
-                queries=queries,
-            )
-        )
+    scores = score_shapes(
+        {"codes": posed_hands(packed, *decoded_grasps(field, book.values, hand=hand, object_name=object_name))},
+        posed_hands(packed, grasps.X_OH, grasps.q),
+        normalisation=dataset.object(object_name).normalisation,
+        seeds=[child_seed(seed, "shapes", hand, object_name, int(i)) for i in book.grasp_index],
+        queries=queries,
+        points=points,
+    )["codes"]
     return HandReconstruction(
         hand=hand,
         object=object_name,
-        surface=surface_errors(distances),
-        chamfer=float(np.mean([s.chamfer for s in scores])),
-        oracle=float(np.mean([s.oracle for s in scores])),
+        surface=scores.surface,
+        chamfer=float(scores.chamfer.mean()),
+        oracle=float(scores.oracle.mean()),
         grasps=len(book),
     )
 
 
-def posed_distance(packed: PackedHand, X_OH: np.ndarray, q: np.ndarray) -> SignedDistance:
-    """The exact signed distance to one posed hand, X_OH (4, 4) and q (J,), as a function of points."""
-    return lambda points_O: hand_distances(packed, X_OH[None], q[None], points_O)[0]
+def decoded_grasps(
+    field: KinematicField, values: np.ndarray, *, hand: str, object_name: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """X_OH (N, 4, 4) and q (N, J), float64, that codes (N, 128) say, in closed form."""
+    with torch.no_grad():
+        decoded = field.decode(torch.as_tensor(values.astype(np.float64)), hand=hand, object_name=object_name)
+    return decoded.X_OH.numpy(), decoded.q.numpy()
 
 
 def reconstruct_object(
     field: KinematicField, dataset: GraspDataset, *, object_name: str, seed: int = 0, queries: int = QUERIES
 ) -> ObjectReconstruction:
     """The field's object against the dataset's mesh; the same for all codes, as the field's object is its grid."""
-    stored, grid = dataset.object(object_name), field.object(object_name).sdf
-    tree = build_tree(stored.mesh)
-    surface = sample_surface(stored.mesh, SURFACE_POINTS, child_seed(seed, "surface", object_name))[0]
-    score = published_chamfer(
+    grid = field.object(object_name).sdf
+    return score_object(
         lambda p: query_grid_numpy(grid, p),
-        lambda p: tree_distance(tree, stored.mesh, p),
+        dataset.object(object_name).mesh,
+        object_name=object_name,
+        normalisation=dataset.object(object_name).normalisation,
+        seed=seed,
+        queries=queries,
+    )
+
+
+def score_object(
+    reconstructed: SignedDistance,
+    mesh: Mesh,
+    *,
+    object_name: str,
+    normalisation: Normalisation | None = None,
+    seed: int = 0,
+    queries: int = QUERIES,
+) -> ObjectReconstruction:
+    """A field's object against its true mesh; `normalisation` is that of the mesh's surface when None."""
+    tree = build_tree(mesh)
+    surface = sample_surface(mesh, SURFACE_POINTS, child_seed(seed, "surface", object_name))[0]
+    score = published_chamfer(
+        reconstructed,
+        lambda p: tree_distance(tree, mesh, p),
         surface,
-        normalisation=stored.normalisation,
+        normalisation=normalisation or normalisation_of(surface),
         seed=child_seed(seed, "queries", object_name),
         queries=queries,
     )
     return ObjectReconstruction(
         object=object_name,
-        surface=surface_errors(query_grid_numpy(grid, surface)),
+        surface=surface_errors(reconstructed(surface)),
         chamfer=score.chamfer,
         oracle=score.oracle,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -165,6 +166,65 @@ def f_score(to_true_m: np.ndarray, to_reconstructed_m: np.ndarray, threshold_m: 
     return 2.0 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
 
 
+class Shape(Protocol):
+    """A closed surface that can be compared with another; object frame, metres.
+
+    Attributes:
+        bounds_O: (2, 3) lowest and highest corner of a box that holds it; None when that is not known.
+    """
+
+    @property
+    def bounds_O(self) -> np.ndarray | None: ...
+
+    def signed_distance(self, points_O: np.ndarray) -> np.ndarray:
+        """(M,) what the field says at (M, 3) points; negative inside."""
+        ...
+
+    def surface_distance(self, points_O: np.ndarray) -> np.ndarray:
+        """(M,) distances >= 0 from (M, 3) points to the surface itself."""
+        ...
+
+    def surface_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """(count, 3) points on the surface, uniform by area."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PosedHand:
+    """The exact shape of one posed hand: X_OH (4, 4), q (J,)."""
+
+    packed: PackedHand
+    X_OH: np.ndarray
+    q: np.ndarray
+
+    @property
+    def bounds_O(self) -> np.ndarray:
+        return hand_bounds(self.packed, self.X_OH, self.q)
+
+    def signed_distance(self, points_O: np.ndarray) -> np.ndarray:
+        return hand_distances(self.packed, self.X_OH[None], self.q[None], points_O)[0]
+
+    def surface_distance(self, points_O: np.ndarray) -> np.ndarray:
+        return np.abs(self.signed_distance(points_O))
+
+    def surface_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        return sample_posed_surface(self.packed, self.X_OH, self.q, count, rng)
+
+
+def posed_hands(packed: PackedHand, X_OH: np.ndarray, q: np.ndarray) -> list[Shape]:
+    """One shape per grasp, X_OH (N, 4, 4) and q (N, J)."""
+    return [
+        PosedHand(packed=packed, X_OH=np.asarray(X, np.float64), q=np.asarray(joints, np.float64))
+        for X, joints in zip(X_OH, q, strict=True)
+    ]
+
+
+def surface_distances(given: Shape, true: Shape, *, points: int, rng: np.random.Generator) -> np.ndarray:
+    """(2, points) distances between two surfaces, metres: points of the given one to the true one, then back."""
+    on_given, on_true = given.surface_points(points, rng), true.surface_points(points, rng)
+    return np.stack([true.surface_distance(on_given), given.surface_distance(on_true)])
+
+
 def hand_surface_distances(
     packed: PackedHand,
     X_OH: np.ndarray,
@@ -180,14 +240,12 @@ def hand_surface_distances(
     The first half: points of the given hand's surface to the true hand; the second half: the other way. Each
     is the exact |signed distance| at points uniform by area.
     """
-    out = np.empty((len(X_OH), 2 * points))
-    for i in range(len(X_OH)):
-        rng = child_rng(seed, "surface", i)
-        given = sample_posed_surface(packed, X_OH[i], q[i], points, rng)
-        true = sample_posed_surface(packed, X_OH_true[i], q_true[i], points, rng)
-        out[i, :points] = hand_distances(packed, X_OH_true[i : i + 1], q_true[i : i + 1], given)[0]
-        out[i, points:] = hand_distances(packed, X_OH[i : i + 1], q[i : i + 1], true)[0]
-    return np.abs(out)
+    pairs = zip(posed_hands(packed, X_OH, q), posed_hands(packed, X_OH_true, q_true), strict=True)
+    rows = [
+        surface_distances(given, true, points=points, rng=child_rng(seed, "surface", i)).ravel()
+        for i, (given, true) in enumerate(pairs)
+    ]
+    return np.array(rows).reshape(-1, 2 * points)
 
 
 def hand_bounds(packed: PackedHand, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
