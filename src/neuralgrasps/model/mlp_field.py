@@ -78,6 +78,7 @@ class MlpDecoder(nn.Module):
         with torch.no_grad():
             self.last.weight.mul_(0.1)  # outputs start near 0, inside the clamp: outside it tanh may never come back
             self.last.bias.zero_()
+        self.dropout = config.dropout
         self.fast = False
         self.dropout_seed = 0
         self.dropout_step = 0
@@ -105,7 +106,7 @@ class MlpDecoder(nn.Module):
                 x = linear(x)
             if config.norm == "batch":
                 x = self.norms[i](x)
-            x = functional.dropout(functional.relu(x), config.dropout, self.training)
+            x = functional.dropout(functional.relu(x), self.dropout, self.training)
         return x
 
     @staticmethod
@@ -125,7 +126,7 @@ class MlpDecoder(nn.Module):
         call = TrunkCall(
             self._memory,
             training=self.training,
-            dropout=config.dropout,
+            dropout=self.dropout,
             eps=norms[0].eps,
             seed=self.dropout_seed,
             step=self.dropout_step,
@@ -133,7 +134,8 @@ class MlpDecoder(nn.Module):
         running = [(n.running_mean.double().numpy(), n.running_var.double().numpy()) for n in norms]  # type: ignore[union-attr]
         first = self.hidden[0].weight
         weights = [first[:, :3], *(layer.weight for layer in list(self.hidden)[1:])]
-        code_part = functional.linear(codes, first[:, 3:])
+        with torch.autocast("cpu", enabled=False):
+            code_part = functional.linear(codes, first[:, 3:])
         gains, biases = [n.weight for n in norms], [n.bias for n in norms]
         out = FusedTrunk.apply(call, running, points.reshape(-1, 3), code_part, *weights, *gains, *biases)
         if self.training:

@@ -1,0 +1,156 @@
+"""SDF samples of one object's scenes on the training device, and the published balanced draw from them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neuralgrasps.dataset.read import GraspDataset
+from neuralgrasps.dataset.samples import Normalisation, SdfSamples
+from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.hands.packed import PackedHand
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SceneSamples:
+    """Query points and distances of S scenes, in normalised units, ordered so that a draw is index arithmetic.
+
+    Attributes:
+        rows: (S, M, 5) float32 x, y, z, distance to the object and to the hand, not clamped. Of each scene first the
+            points outside both shapes, then those outside one and inside the other, then those inside both.
+        positive: (S,) points outside at least one shape, the first ones; inside: (S,) those inside or on at
+            least one, the last ones; int64.
+    """
+
+    rows: Tensor
+    positive: Tensor
+    inside: Tensor
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def device(self) -> torch.device:
+        return self.rows.device
+
+    def to(self, device: torch.device | str) -> SceneSamples:
+        """The same samples on a device."""
+        return SceneSamples(rows=self.rows.to(device), positive=self.positive.to(device), inside=self.inside.to(device))
+
+    def draw(self, scenes: Tensor, count: int, generator: torch.Generator) -> Tensor:
+        """(n, count) int64 points of each of `scenes` (n,): half positive to either shape, half non-positive.
+
+        With replacement. Where a scene has no point of one kind, all its points are of the other, and both halves are
+        drawn from them. See `dataset.balance.balanced_draw` for the plain statement.
+
+        Source:
+            Khargonkar et al. 2022, published training code.
+        """
+        uniform = torch.rand(len(scenes), count, generator=generator, device=self.device)
+        points = self.rows.shape[1]
+        half = (count + 1) // 2
+        outer, inner = self.positive[scenes], self.inside[scenes]
+        outer = torch.where(outer > 0, outer, points)[:, None]
+        inner = torch.where(inner > 0, inner, points)[:, None]
+        first = torch.minimum((uniform[:, :half] * outer).long(), outer - 1)
+        last = points - inner + torch.minimum((uniform[:, half:] * inner).long(), inner - 1)
+        return torch.cat([first, last], dim=1)
+
+    def gather(self, scenes: Tensor, places: Tensor) -> Tensor:
+        """(n, K, 5) rows at `places` (n, K) of `scenes` (n,)."""
+        flat = scenes[:, None] * self.rows.shape[1] + places
+        return self.rows.flatten(0, 1)[flat.flatten()].reshape(*places.shape, 5)
+
+
+def scene_samples(parts: list[SdfSamples], normalisation: Normalisation) -> SceneSamples:
+    """Samples of all parts in order, normalised and sorted by kind; on the processor.
+
+    Raises:
+        InputError: no samples; ShapeError: parts of different numbers of points per scene.
+    """
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        raise InputError("no SDF samples given; expected at least one scene.")
+    sizes = {part.points_O.shape[1] for part in parts}
+    if len(sizes) > 1:
+        raise ShapeError(f"scenes have {sorted(sizes)} SDF samples; expected one number.")
+    rows = np.empty((sum(len(part) for part in parts), sizes.pop(), 5), np.float32)
+    positive, inside = np.empty((2, len(rows)), np.int64)
+    k = 0
+    for part in parts:
+        for i in range(len(part)):
+            out = np.stack([part.sdf_object[i], part.sdf_hand[i]]) > 0
+            order = np.argsort(2 - out.sum(axis=0), kind="stable")
+            rows[k, :, :3] = normalisation.to_unit(part.points_O[i].astype(np.float64))[order]
+            rows[k, :, 3] = part.sdf_object[i][order] / normalisation.scale_m
+            rows[k, :, 4] = part.sdf_hand[i][order] / normalisation.scale_m
+            positive[k], inside[k] = out.any(axis=0).sum(), (~out).any(axis=0).sum()
+            k += 1
+    return SceneSamples(
+        rows=torch.from_numpy(rows), positive=torch.from_numpy(positive), inside=torch.from_numpy(inside)
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectScenes:
+    """One object's scenes of one part of a dataset, by hand, then grasp.
+
+    Attributes:
+        object_name: the object; normalisation: its frame.
+        samples: of S scenes.
+        contact_maps: (S, P) float32.
+        hands: names; hand_index: (S,) int32 into them; grasp_index: (S,) int32 in the pair's grasp set.
+    """
+
+    object_name: str
+    normalisation: Normalisation
+    samples: SceneSamples
+    contact_maps: np.ndarray
+    hands: tuple[str, ...]
+    hand_index: np.ndarray
+    grasp_index: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+
+def object_scenes(
+    dataset: GraspDataset,
+    object_name: str,
+    *,
+    part: str = "train",
+    packed: Mapping[str, PackedHand] | None = None,
+) -> ObjectScenes:
+    """Read the "train", "test" or "spare" scenes of an object, all hands, from a dataset.
+
+    Args:
+        packed: by hand; needed when the dataset does not store its samples.
+    Raises:
+        UnknownNameError: the object is not in the dataset; InputError: it has no scenes in that part.
+    """
+    stored = dataset.object(object_name)
+    hands = tuple(hand for hand, name in dataset.pairs if name == object_name)
+    samples, maps, hand_index, grasp_index = [], [], [], []
+    for k, hand in enumerate(hands):
+        chosen = dataset.split(hand, object_name).part(part)
+        if not len(chosen):
+            continue
+        samples.append(dataset.samples(hand, object_name, chosen, packed=(packed or {}).get(hand)))
+        maps.append(dataset.contact_maps(hand, object_name)[chosen])
+        hand_index.append(np.full(len(chosen), k, np.int32))
+        grasp_index.append(chosen.astype(np.int32))
+    if not samples:
+        raise InputError(f"object '{object_name}' has no {part} grasps in this dataset; choose another part or object.")
+    return ObjectScenes(
+        object_name=object_name,
+        normalisation=stored.normalisation,
+        samples=scene_samples(samples, stored.normalisation),
+        contact_maps=np.concatenate(maps),
+        hands=hands,
+        hand_index=np.concatenate(hand_index),
+        grasp_index=np.concatenate(grasp_index),
+    )
