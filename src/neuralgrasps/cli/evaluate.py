@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from neuralgrasps.cli.dataset import read_grasp_files
 from neuralgrasps.cli.models import (
@@ -14,7 +14,7 @@ from neuralgrasps.cli.models import (
     run_objects,
     warn_of_damage,
 )
-from neuralgrasps.cli.options import Names, PositionalFolder
+from neuralgrasps.cli.options import Names, OptionalFile, PositionalFolder, Workers
 from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
@@ -27,26 +27,47 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.object_model import ObjectModel
 
 
-KNOWN_GRASPS = (
-    "Known grasps: pose and joints given; the contact part of the code is the contact map at 96 points, "
-    "so this gap measures subsampling only."
-)
-
-
-def evaluate(terminal: Terminal, path: PositionalFolder, /, *, hands: Names = (), objects: Names = ()) -> Outcome:
+def evaluate(
+    terminal: Terminal,
+    path: PositionalFolder,
+    /,
+    *,
+    part: Literal["test", "train", "both"] = "test",
+    queries: int = 100_000,
+    observed: bool = True,
+    report: OptionalFile = None,
+    seed: int = 0,
+    workers: Workers = None,
+    hands: Names = (),
+    objects: Names = (),
+) -> Outcome:
     """Measure a trained run, a dataset, or grasp files.
 
-    A run: how similar the grasps are that its codes find for grasps it was not trained on (1 = the same contacts),
-    beside the best and worst there are; their pose and joints are known. A dataset or grasps: quality of the grasps,
+    A run: the published tables, beside the paper's figures and those of a perfect field; surface errors in mm; how
+    similar the grasps are that its codes find (1 = the same contacts); times. For grasps whose pose and joints are
+    known, and for unseen grasps found again from observed points. A dataset or grasps: quality of the grasps,
     measured against the true mesh.
 
     Args:
         path: folder of a run or dataset, or a grasp file or folder of them.
+        part: of a run: unseen grasps, training grasps, or both.
+        queries: of a run: points asked per grasp by the published Chamfer measure.
+        observed: of a run: also find the unseen grasps again from observed points.
+        report: of a run: also write a page with tables, pictures and t-SNE.
+        seed: of a run: of queries, surface points and observations.
+        workers: of a run: processes.
         hands: files of hands that are not built in and have moved.
         objects: files of objects that are not built in and have moved.
     """
     if (path / "run.json").is_file():
-        return _evaluate_run(terminal, path, hands, objects)
+        from neuralgrasps.cli.evaluate_run import RunOptions, evaluate_run
+
+        options = RunOptions(
+            part=part, queries=queries, observed=observed, report=report, seed=seed, workers=workers
+        )
+        return evaluate_run(terminal, path, options, hands=hands, objects=objects)
+    if report is not None:
+        raise InputError(f"--report is of runs; '{path}' holds no run.json. Give the folder that `train` wrote.")
     if (path / "manifest.json").is_file():
         return _evaluate_dataset(terminal, path, hands)
     if not path.exists():
@@ -72,58 +93,6 @@ def open_run(folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> 
     return load_run(
         folder, hands=hands_of(hand_names, folder, hands), objects=run_objects(folder, object_names, objects)
     )
-
-
-def _evaluate_run(terminal: Terminal, folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Outcome:
-    from neuralgrasps.evaluate.retrieval import score_codebook
-
-    with terminal.progress("reading the run"):
-        run = open_run(folder, hands, objects)
-    book = run.codebook
-    rows: list[dict[str, Any]] = []
-    for name in book.objects:
-        groups: list[str | None] = [None, *book.hands]
-        for hand in groups:
-            tests = book.where(hand=hand, object_name=name, is_test=True)
-            if not tests.any() or not book.where(hand=hand, object_name=name, is_test=False).any():
-                continue
-            score = score_codebook(book, object_name=name, hand=hand)
-            rows.append(
-                {
-                    "object": name,
-                    "hand": hand or "all",
-                    "queries": score.queries,
-                    "gallery": score.gallery,
-                    "near_code_similarity": score.near_z,
-                    "near_best_similarity": score.near_gt,
-                    "gap": score.gap,
-                    "far_code_similarity": score.far_z,
-                    "far_best_similarity": score.far_gt,
-                    "recall_at_1": score.recall_at[1],
-                    "recall_at_5": score.recall_at[5],
-                }
-            )
-    if not rows:
-        raise InputError(f"'{folder}' holds no test grasps; build its dataset from at least 6 grasps per pair.")
-    columns = ("object", "hand", "n", "found", "best", "gap", "farthest", "R@1", "R@5")
-    keys = ("near_code_similarity", "near_best_similarity", "gap", "far_code_similarity")
-    terminal.say("Contact similarity (1 = same, 0 = most different) of n test grasps to training grasps: of the one")
-    terminal.say(
-        "that the code finds, the best there is, and the farthest by code. R@k: the best is among the first k."
-    )
-    terminal.table(
-        columns,
-        [
-            (r["object"], r["hand"], r["queries"], *(f"{r[k]:.3f}" for k in keys),
-             f"{r['recall_at_1']:.2f}", f"{r['recall_at_5']:.2f}")
-            for r in rows
-        ],
-    )  # fmt: skip
-    whole = [r for r in rows if r["hand"] == "all"]
-    gap = sum(r["gap"] * r["queries"] for r in whole) / sum(r["queries"] for r in whole)
-    terminal.say(f"Below the best possible by {gap:.4f} on average.")
-    terminal.say(KNOWN_GRASPS)
-    return Outcome(result={"folder": str(folder), "retrieval": rows, "mean_gap": gap, "measured_on": KNOWN_GRASPS})
 
 
 def _evaluate_dataset(terminal: Terminal, folder: Path, hands: tuple[str, ...]) -> Outcome:

@@ -53,7 +53,7 @@ def score_retrieval(
     similarity is 1 - distance.
 
     Args:
-        query_codes (Q, D), gallery_codes (G, D): what to compare by L1 (for our codes: the contact block).
+        query_codes (Q, D), gallery_codes (G, D): what to compare by L1 (`CodeBook.metric`).
         query_maps (Q, P), gallery_maps (G, P): the true contact maps.
         same: queries are the gallery; a grasp is not its own neighbour.
         rerank: reorder this many nearest by code with contact maps before taking the nearest (0 = pure code).
@@ -116,14 +116,14 @@ def score_codebook(
         raise InputError(f"part is '{part}'; expected 'test' or 'train'.")
     train = codebook[codebook.where(hand=hand, object_name=object_name, is_test=False)]
     asked = train if part == "train" else codebook[codebook.where(hand=hand, object_name=object_name, is_test=True)]
-    codes, ranking = asked.contact_block, None
+    codes, ranking = asked.metric, None
     if queries is not None:
         if part == "train" or len(queries) != len(asked):
             raise InputError(f"{len(queries)} query codes for {len(asked)} test grasps; expected one for each.")
-        codes, ranking = queries.contact_block, queries.contact_maps if queries.contact_maps.shape[1] else None
+        codes, ranking = queries.metric, queries.contact_maps if queries.contact_maps.shape[1] else None
     return score_retrieval(
         codes,
-        train.contact_block,
+        train.metric,
         asked.contact_maps,
         train.contact_maps,
         same=part == "train",

@@ -1,0 +1,265 @@
+"""What `evaluate_run` found, as flat rows that tables and JSON are made from, the paper's figures beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from neuralgrasps.evaluate.published import published_chamfer_of, published_similarities
+from neuralgrasps.evaluate.reconstruction import F_SCORES_M, ObjectReconstruction, ShapeScores
+from neuralgrasps.evaluate.retrieval import RetrievalScores
+
+KNOWN, ALL_OVER, ONE_VIEW = "known", "observed all over", "observed in one view"
+SDF_SAMPLES = "signed distances"
+INPUTS: Mapping[str, str] = {
+    KNOWN: "pose and joints are given: the code holds the grasp by construction, nothing is inferred",
+    ALL_OVER: "only points on the whole surface of the hand are given, without labels, pose or joints",
+    ONE_VIEW: "only the points of the hand that one depth camera sees are given, the object and the hand in the way",
+    SDF_SAMPLES: "signed distances to hand and object at sample points are given, as in the paper",
+}
+SIMILARITY_NAMES = ("near_z", "near_gt", "far_z", "far_gt")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandRow:
+    """Reconstructed hands of one hand and object.
+
+    Attributes:
+        part: "test" (unseen) or "train". input: one of `INPUTS`.
+        chamfer_e3, oracle_e3: the published measure x 1e-3, and what a perfect field scores on the same queries.
+        paper_e3: the paper's figure, for its own hands and grasps; None for other objects and hands.
+        surface_*_mm: surface to surface, both ways pooled.
+        f_1mm, f_2mm: mean F-scores over the grasps (`model.reconstruct.f_score`).
+        contact_error_mean, contact_error_p95: |difference| of the contact maps of decoded and true hand, in [0, 1].
+    """
+
+    part: str
+    input: str
+    object: str
+    hand: str
+    grasps: int
+    chamfer_e3: float
+    oracle_e3: float
+    paper_e3: float | None
+    surface_mean_mm: float
+    surface_median_mm: float
+    surface_p95_mm: float
+    f_1mm: float
+    f_2mm: float
+    contact_error_mean: float
+    contact_error_p95: float
+
+    @property
+    def over_oracle(self) -> float:
+        return self.chamfer_e3 / self.oracle_e3
+
+    @property
+    def paper_in_reach(self) -> bool | None:
+        """Whether a perfect field would be at or below the paper's figure."""
+        return None if self.paper_e3 is None else self.oracle_e3 <= self.paper_e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectRow:
+    """The field's object against the mesh; columns as in `HandRow`."""
+
+    part: str
+    object: str
+    chamfer_e3: float
+    oracle_e3: float
+    paper_e3: float | None
+    surface_mean_mm: float
+    surface_p95_mm: float
+
+    @property
+    def over_oracle(self) -> float:
+        return self.chamfer_e3 / self.oracle_e3
+
+    @property
+    def paper_in_reach(self) -> bool | None:
+        """Whether a perfect field would be at or below the paper's figure."""
+        return None if self.paper_e3 is None else self.oracle_e3 <= self.paper_e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimilarityRow:
+    """Retrieval on one object among all hands; `paper_*` are the paper's figures for its own grasps.
+
+    Attributes:
+        near_z_reranked: of the nearest among the first 20 by code, put in order by contact map.
+        recall_at_k: share of queries whose nearest grasp by contact map is among the k nearest by code.
+    """
+
+    part: str
+    input: str
+    object: str
+    queries: int
+    gallery: int
+    near_z: float
+    near_gt: float
+    far_z: float
+    far_gt: float
+    near_z_reranked: float
+    recall_at_1: float
+    recall_at_5: float
+    recall_at_10: float
+    paper_near_z: float | None
+    paper_near_gt: float | None
+    paper_far_z: float | None
+    paper_far_gt: float | None
+
+    @property
+    def gap(self) -> float:
+        return self.near_gt - self.near_z
+
+    @property
+    def gap_reranked(self) -> float:
+        return self.near_gt - self.near_z_reranked
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunScores:
+    """Everything measured of a run.
+
+    Attributes:
+        field: which field the figures belong to, "KinematicField" or "MlpField".
+        times_ms: figure -> milliseconds (`evaluate_run` says of what).
+        errors_mm: (part, input) -> hand -> mean surface error of each grasp, mm, for histograms.
+        conditions: what was given and how much of it, as name and text.
+    """
+
+    field: str
+    hands: tuple[HandRow, ...]
+    objects: tuple[ObjectRow, ...]
+    similarities: tuple[SimilarityRow, ...]
+    times_ms: Mapping[str, float]
+    errors_mm: Mapping[tuple[str, str], Mapping[str, np.ndarray]]
+    conditions: Mapping[str, str]
+
+    @property
+    def parts_and_inputs(self) -> tuple[tuple[str, str], ...]:
+        """(part, input) in the order measured."""
+        return tuple(dict.fromkeys((row.part, row.input) for row in self.similarities))
+
+    def summary(self, part: str, given: str) -> dict[str, float]:
+        """Means over objects and hands of one part and input; `chamfer_over_oracle` and p95 are of all pairs' rows."""
+        hands = [r for r in self.hands if (r.part, r.input) == (part, given)]
+        similar = [r for r in self.similarities if (r.part, r.input) == (part, given)]
+        figures = {
+            "gap": _mean([r.gap for r in similar]),
+            "gap_reranked": _mean([r.gap_reranked for r in similar]),
+            "recall_at_1": _mean([r.recall_at_1 for r in similar]),
+            "recall_at_5": _mean([r.recall_at_5 for r in similar]),
+            "recall_at_10": _mean([r.recall_at_10 for r in similar]),
+        }
+        if hands:
+            figures |= {
+                "chamfer_over_oracle": _mean([r.over_oracle for r in hands]),
+                "chamfer_over_oracle_worst": max(r.over_oracle for r in hands),
+                "surface_mean_mm": _mean([r.surface_mean_mm for r in hands]),
+                "surface_median_mm": _mean([r.surface_median_mm for r in hands]),
+                "surface_p95_mm": _mean([r.surface_p95_mm for r in hands]),
+                "f_1mm": _mean([r.f_1mm for r in hands]),
+                "f_2mm": _mean([r.f_2mm for r in hands]),
+                "contact_error_mean": _mean([r.contact_error_mean for r in hands]),
+            }
+        return figures
+
+    def against_paper(self, part: str, given: str) -> dict[str, tuple[str, ...]]:
+        """Columns ("object: hand") by how they stand to the paper's figures.
+
+        Keys: "at_or_below"; "above" although a perfect field would not be; "above_as_a_perfect_field", where the paper's
+        figure is below what a perfect field scores on these shapes.
+        """
+        sides: dict[str, list[str]] = {"at_or_below": [], "above": [], "above_as_a_perfect_field": []}
+        rows: list[HandRow | ObjectRow] = [r for r in self.objects if r.part == part]
+        rows += [r for r in self.hands if (r.part, r.input) == (part, given)]
+        for row in rows:
+            if row.paper_e3 is None:
+                continue
+            name = f"{row.object}: {row.hand if isinstance(row, HandRow) else 'object'}"
+            below = row.chamfer_e3 <= row.paper_e3
+            sides["at_or_below" if below else "above" if row.paper_in_reach else "above_as_a_perfect_field"].append(name)
+        return {key: tuple(names) for key, names in sides.items()}
+
+    def record(self) -> dict[str, Any]:
+        """The rows and summaries for JSON."""
+        return {
+            "field": self.field,
+            "conditions": dict(self.conditions),
+            "inputs": {given: INPUTS[given] for _, given in self.parts_and_inputs},
+            "summary": [
+                {"part": part, "input": given, **self.summary(part, given)} for part, given in self.parts_and_inputs
+            ],
+            "against_paper": [
+                {"part": part, "input": given, **self.against_paper(part, given)}
+                for part, given in self.parts_and_inputs
+            ],
+            "times_ms": dict(self.times_ms),
+            "hands": [asdict(r) | {"chamfer_over_oracle": r.over_oracle} for r in self.hands],
+            "objects": [asdict(r) | {"chamfer_over_oracle": r.over_oracle} for r in self.objects],
+            "retrieval": [asdict(r) | {"gap": r.gap, "gap_reranked": r.gap_reranked} for r in self.similarities],
+        }
+
+
+def hand_row(
+    scores: ShapeScores, map_errors: np.ndarray, *, part: str, given: str, object_name: str, hand: str
+) -> HandRow:
+    """The row of one pair; `map_errors`: |differences| of contact maps, any shape."""
+    surface = scores.surface
+    first, second = (float(scores.f_scores(threshold).mean()) for threshold in F_SCORES_M)
+    return HandRow(
+        part=part,
+        input=given,
+        object=object_name,
+        hand=hand,
+        grasps=len(scores),
+        chamfer_e3=1e3 * float(scores.chamfer.mean()),
+        oracle_e3=1e3 * float(scores.oracle.mean()),
+        paper_e3=published_chamfer_of(object_name, hand, part=part),
+        surface_mean_mm=1e3 * surface.mean_m,
+        surface_median_mm=1e3 * surface.median_m,
+        surface_p95_mm=1e3 * surface.p95_m,
+        f_1mm=first,
+        f_2mm=second,
+        contact_error_mean=float(map_errors.mean()),
+        contact_error_p95=float(np.quantile(map_errors, 0.95)),
+    )
+
+
+def object_row(shape: ObjectReconstruction, *, part: str) -> ObjectRow:
+    """The row of one object."""
+    return ObjectRow(
+        part=part,
+        object=shape.object,
+        chamfer_e3=1e3 * shape.chamfer,
+        oracle_e3=1e3 * shape.oracle,
+        paper_e3=published_chamfer_of(shape.object, "object", part=part),
+        surface_mean_mm=1e3 * shape.surface.mean_m,
+        surface_p95_mm=1e3 * shape.surface.p95_m,
+    )
+
+
+def similarity_row(
+    plain: RetrievalScores, reranked: RetrievalScores, *, part: str, given: str, object_name: str
+) -> SimilarityRow:
+    """The row of one object: pure code, and re-ranked."""
+    paper = published_similarities(object_name, part=part) or (None,) * 4
+    return SimilarityRow(
+        part=part,
+        input=given,
+        object=object_name,
+        queries=plain.queries,
+        gallery=plain.gallery,
+        **{name: getattr(plain, name) for name in SIMILARITY_NAMES},
+        near_z_reranked=reranked.near_z,
+        **{f"recall_at_{k}": plain.recall_at[k] for k in (1, 5, 10)},
+        **{f"paper_{name}": value for name, value in zip(SIMILARITY_NAMES, paper, strict=True)},
+    )
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
