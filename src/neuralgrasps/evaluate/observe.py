@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -44,6 +45,19 @@ def observe_hand(
     return cloud + rng.normal(scale=noise_m, size=cloud.shape) if noise_m > 0 else cloud
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandView:
+    """What one depth camera sees of a hand.
+
+    Attributes:
+        points_O: (M, 3) float64 hand points, object frame, metres.
+        viewpoint_O: (3,) float64 centre of the camera.
+    """
+
+    points_O: np.ndarray
+    viewpoint_O: np.ndarray
+
+
 def observe_hand_one_view(
     hand: Hand,
     obj: ObjectModel,
@@ -54,6 +68,20 @@ def observe_hand_one_view(
     noise_m: float = 0.001,
     points: int = 1024,
 ) -> np.ndarray:
+    """The points (M <= points, 3) of `view_hand`."""
+    return view_hand(hand, obj, X_OH, q, seed=seed, noise_m=noise_m, points=points).points_O
+
+
+def view_hand(
+    hand: Hand,
+    obj: ObjectModel,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    seed: int,
+    noise_m: float = 0.001,
+    points: int = 1024,
+) -> HandView:
     """Hand points that one depth camera sees, the object and the hand itself in the way.
 
     The camera is `DISTANCE_M` from the middle of the hand, in a random direction; directions that show
@@ -63,8 +91,6 @@ def observe_hand_one_view(
         X_OH: (4, 4) hand base in the object frame, metres; q: (J,) joints.
         seed: with the grasp itself it determines the direction and the noise.
         noise_m: standard deviation of the depth along each pixel's ray. points: at most so many, a random subset.
-    Returns:
-        (M <= points, 3) float64, object frame, metres.
     Raises:
         InputError: the hand is hidden from all directions tried.
     """
@@ -86,7 +112,7 @@ def observe_hand_one_view(
         points_C = points_C[chosen]
         far = np.linalg.norm(points_C, axis=1, keepdims=True)
         points_C *= 1.0 + rng.normal(scale=noise_m, size=far.shape) / far if noise_m > 0 else 1.0
-        return points_C @ X_OC[:3, :3].T + X_OC[:3, 3]
+        return HandView(points_O=points_C @ X_OC[:3, :3].T + X_OC[:3, 3], viewpoint_O=X_OC[:3, 3].copy())
     raise InputError(
         f"hand '{hand.name}' on '{obj.name}' is hidden: of {_TRIES} random views none shows {MIN_PIXELS} pixels of it."
     )

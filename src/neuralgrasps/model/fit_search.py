@@ -1,0 +1,270 @@
+"""Search for the pose and joints of a hand behind a cloud of points: many starts, then fewer and finer fits.
+
+Every round scores starts on few points, improves the best roughly, and refines the best of those on all points. The
+first round starts from known grasps; later ones, only while the points lie farther from the hand than their noise
+explains, from crossings and variations of what was found. Torch-free.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.sampling import farthest_points
+from neuralgrasps.geometry.sdf_grid import SdfGrid
+from neuralgrasps.hands.packed import PackedHand, hand_distance_many
+from neuralgrasps.model.fit_kernels import FitProblem, fit_starts, score_starts
+from neuralgrasps.model.fit_prior import GraspPrior, posed_points
+
+MIN_NOISE_M = 0.0003  # models and sensors are no better; keeps the priors from vanishing on clean points
+EVEN_POINTS = 192  # well spread points kept for the first stages
+SAME_HAND_M = 0.004  # mean distance of matching points below which two fits are the same
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InferConfig:
+    """Effort and noise model of `infer_grasps`.
+
+    Attributes:
+        noise_m: standard deviation of the points off the surface, metres; None: estimated from each fit.
+        points: observed points used in the last stage (a random subset when there are more).
+        coarse_points: used while choosing among the starts; middle_points: in the stage between.
+        starts: best starts that are improved; middle: of these, how many go on; finalists: how many to the end.
+        coarse_iterations, middle_iterations, fine_iterations: least-squares steps.
+        coverage: weight of "every part of the hand has an observed point near it", against 1 for the points; set it
+            to 0 for a partial view.
+        prior: weight of what is known of grasps (usual postures, tips touch, nothing goes through the object).
+        rounds: at most; later ones only while the points do not fit.
+        variations: starts scored per later round; vary_rad, vary_m, vary_joint: their spread (joints: share of range).
+        good: mean squared distance of the points, in units of the noise's variance, up to which they fit.
+    """
+
+    noise_m: float | None = None
+    points: int = 1024
+    coarse_points: int = 64
+    middle_points: int = 160
+    starts: int = 16
+    middle: int = 6
+    finalists: int = 2
+    coarse_iterations: int = 8
+    middle_iterations: int = 12
+    fine_iterations: int = 30
+    coverage: float = 1.0
+    prior: float = 1.0
+    rounds: int = 5
+    variations: int = 200
+    vary_rad: float = 0.3
+    vary_m: float = 0.01
+    vary_joint: float = 0.1
+    good: float = 1.3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        counts = ("points", "coarse_points", "middle_points", "starts", "middle", "finalists", "rounds", "variations")
+        for name in counts:
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; expected at least 1.")
+        if self.noise_m is not None and self.noise_m < 0.0:
+            raise InputError(f"noise_m is {self.noise_m}; expected 0 or more metres, or None to estimate it.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Starts:
+    """Grasps to start from, or found: X_OH (N, 4, 4), q (N, J)."""
+
+    X_OH: np.ndarray
+    q: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def take(self, index: np.ndarray) -> Starts:
+        return Starts(X_OH=np.ascontiguousarray(self.X_OH[index]), q=np.ascontiguousarray(self.q[index]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """One fit.
+
+    Attributes:
+        X_OH: (4, 4), q: (J,): the hand.
+        cost: what was lowered, square metres; distance_m: (M,) signed distances of the points used.
+        stopped: the solver stopped by itself.
+    """
+
+    X_OH: np.ndarray
+    q: np.ndarray
+    cost: float
+    distance_m: np.ndarray
+    stopped: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Search:
+    """What a search found: all different fits, best first; the noise it went by, metres; rounds it took."""
+
+    fits: tuple[Fit, ...]
+    noise_m: float
+    excess: float
+    rounds: int
+
+
+class CloudSearch:
+    """The search for one cloud."""
+
+    def __init__(
+        self,
+        packed: PackedHand,
+        sdf: SdfGrid,
+        prior: GraspPrior,
+        cloud_O: np.ndarray,
+        *,
+        config: InferConfig,
+        rng: np.random.Generator,
+        viewpoint_O: np.ndarray | None = None,
+    ) -> None:
+        self.viewpoint_O = viewpoint_O
+        self.packed, self.sdf, self.prior, self.config, self.rng = packed, sdf, prior, config, rng
+        cloud = rng.permutation(cloud_O) if len(cloud_O) > config.points else cloud_O
+        self.cloud = np.ascontiguousarray(cloud[: config.points])
+        self.even = np.ascontiguousarray(self.cloud[farthest_points(self.cloud, min(EVEN_POINTS, len(self.cloud)))])
+        self.neighbour = KDTree(self.cloud).query(self.cloud, k=8)[1][:, -1]
+        self.noise_m = max(config.noise_m if config.noise_m is not None else 0.0015, MIN_NOISE_M)
+
+    def problem(self, points_O: np.ndarray, width: float, coverage: float) -> FitProblem:
+        unit = self.config.prior * self.noise_m**2 / 100.0
+        return FitProblem(
+            points_O=points_O,
+            width=max(width, 3.0 * self.noise_m),
+            material=self.prior.material,
+            cover=np.full(len(self.prior.material), coverage / len(self.prior.material)),
+            seen_O=self.even,
+            cover_width=max(width, 3.0 * self.noise_m),
+            q_mean=self.prior.q_mean,
+            q_precision=unit * self.prior.q_precision,
+            probe=self.prior.probe,
+            touch_mean=self.prior.touch_mean,
+            touch_weight=unit / self.prior.touch_sd**2,
+            touch_width=0.003,
+            depth_weight=unit / 0.0005**2,
+            depth_free=0.001,
+            sdf_values=self.sdf.values,
+            sdf_origin=self.sdf.origin,
+            sdf_inv_spacing=self.sdf.inv_spacing,
+        )
+
+    def run(self, gallery: Starts) -> Search:
+        found: list[Fit] = []
+        excess, turn = np.inf, 0
+        for turn in range(self.config.rounds):
+            if turn == 0:
+                starts = gallery
+            else:
+                starts = self.turned(gallery) if turn % 2 else self.varied(gallery, found)
+            found = self.merged(found + self.round(starts))
+            if self.config.noise_m is None:
+                self.noise_m = max(self.estimated_noise(found[0].distance_m), MIN_NOISE_M)
+            excess = float((found[0].distance_m ** 2).mean()) / self.noise_m**2
+            if excess <= self.config.good:
+                break
+        return Search(fits=tuple(found), noise_m=self.noise_m, excess=excess, rounds=turn + 1)
+
+    def round(self, starts: Starts) -> list[Fit]:
+        c = self.config
+        problem = self.problem(self.even[: c.coarse_points], 0.03, c.coverage)
+        cost, stopped = np.empty(len(starts)), np.zeros(len(starts), np.bool_)
+        score_starts(self.packed, problem, starts.X_OH, starts.q, cost)
+        some = starts.take(np.argsort(cost, kind="stable")[: c.starts])
+        cost, stopped = np.empty(len(some)), np.zeros(len(some), np.bool_)
+        fit_starts(self.packed, problem, some.X_OH, some.q, c.coarse_iterations, cost, stopped)
+        for points, width, coverage, keep, steps in (
+            (self.even[: c.middle_points], 0.015, c.coverage, c.middle, c.middle_iterations),
+            (self.cloud, 0.006, 0.0, c.finalists, c.fine_iterations),
+        ):
+            some = some.take(self.different(some, np.argsort(cost, kind="stable"), keep))
+            cost, stopped = np.empty(len(some)), np.zeros(len(some), np.bool_)
+            fit_starts(self.packed, self.problem(points, width, coverage), some.X_OH, some.q, steps, cost, stopped)
+        return [
+            Fit(X_OH=X, q=q, cost=float(value), distance_m=self.distances(X, q), stopped=bool(done))
+            for X, q, value, done in zip(some.X_OH, some.q, cost, stopped, strict=True)
+        ]
+
+    def distances(self, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+        out = np.empty(len(self.cloud))
+        hand_distance_many(self.packed, X_OH, q, self.cloud, out)
+        return out
+
+    def estimated_noise(self, distance_m: np.ndarray) -> float:
+        """Noise from differences between neighbouring points: a wrong hand is wrong smoothly, noise is not."""
+        difference = distance_m - distance_m[self.neighbour]
+        return float(np.sqrt(0.5 * np.mean(np.clip(difference, -0.01, 0.01) ** 2)))
+
+    def different(self, some: Starts, order: np.ndarray, count: int) -> np.ndarray:
+        """The first `count` of `order` that are not nearly the same hand as one before."""
+        kept: list[int] = []
+        points: list[np.ndarray] = []
+        marks = self.prior.material[::4]
+        for i in order:
+            p = posed_points(self.packed, some.X_OH[i], some.q[i], marks)
+            if all(np.linalg.norm(p - other, axis=1).mean() > SAME_HAND_M for other in points):
+                kept.append(int(i))
+                points.append(p)
+                if len(kept) == count:
+                    break
+        return np.array(kept)
+
+    def merged(self, fits: list[Fit]) -> list[Fit]:
+        """Different fits, best first."""
+        fits = sorted(fits, key=lambda f: f.cost)
+        some = Starts(X_OH=np.stack([f.X_OH for f in fits]), q=np.stack([f.q for f in fits]))
+        return [fits[i] for i in self.different(some, np.arange(len(fits)), len(fits))]
+
+    def turned(self, gallery: Starts) -> Starts:
+        """Known grasps turned about the object's middle to where the points are, rolled at random about that direction."""
+        c, rng = self.config, self.rng
+        count = c.variations
+        donor = rng.integers(len(gallery), size=count)
+        X, q = gallery.X_OH[donor].copy(), gallery.q[donor]
+        middle = 0.5 * (self.sdf.bounds[0] + self.sdf.bounds[1])
+        marks = self.prior.material[::4]
+        hand = np.stack([posed_points(self.packed, a, b, marks).mean(axis=0) for a, b in zip(X, q, strict=True)])
+        goal = self.even.mean(axis=0) + rng.normal(scale=c.vary_m, size=(count, 3))
+        away, wanted = hand - middle, goal - middle
+        away /= np.linalg.norm(away, axis=1, keepdims=True)
+        wanted /= np.linalg.norm(wanted, axis=1, keepdims=True)
+        axis = np.cross(away, wanted)
+        sine = np.linalg.norm(axis, axis=1, keepdims=True)
+        angle = np.arctan2(sine, (away * wanted).sum(axis=1, keepdims=True))
+        turn = Rotation.from_rotvec(wanted * rng.uniform(-np.pi, np.pi, (count, 1))) * Rotation.from_rotvec(axis / np.maximum(sine, 1e-9) * angle)
+        turn = Rotation.from_rotvec(rng.normal(scale=c.vary_rad, size=(count, 3))) * turn
+        R = turn.as_matrix()
+        X[:, :3, 3] = np.einsum("nij,nj->ni", R, X[:, :3, 3] - hand) + goal
+        X[:, :3, :3] = R @ X[:, :3, :3]
+        return Starts(X_OH=X, q=q)
+
+    def varied(self, gallery: Starts, found: list[Fit]) -> Starts:
+        """Crossings of what was found with known postures, and both shaken."""
+        c, rng = self.config, self.rng
+        count, joints = c.variations, gallery.q.shape[1]
+        donor = rng.integers(len(gallery), size=count)
+        parent = np.minimum(rng.geometric(0.5, size=count) - 1, len(found) - 1)
+        X = np.stack([found[i].X_OH for i in parent])
+        q = np.stack([found[i].q for i in parent])
+        first = rng.integers(joints, size=count)
+        last = first + rng.integers(1, joints + 1, size=count)
+        place = np.arange(joints)
+        crossed = (place >= first[:, None]) & (place < last[:, None])
+        q = np.where(crossed, gallery.q[donor], q)
+        fresh = rng.random(count) < 0.3
+        X[fresh], q[fresh] = gallery.X_OH[donor[fresh]], gallery.q[donor[fresh]]
+        shaken = fresh | (rng.random(count) < 0.5)
+        size = np.where(shaken, 1.0, 0.0)[:, None]
+        X[:, :3, :3] = X[:, :3, :3] @ Rotation.from_rotvec(size * rng.normal(scale=c.vary_rad, size=(count, 3))).as_matrix()
+        X[:, :3, 3] += size * rng.normal(scale=c.vary_m, size=(count, 3))
+        span = self.packed.upper - self.packed.lower
+        q = q + size * rng.normal(scale=c.vary_joint, size=q.shape) * span
+        return Starts(X_OH=X, q=np.clip(q, self.packed.lower, self.packed.upper))
