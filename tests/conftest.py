@@ -148,6 +148,7 @@ def small_dataset(small_world: SmallWorld, tmp_path_factory: pytest.TempPathFact
 def small_run(small_world: SmallWorld, small_dataset: GraspDataset) -> TrainResult:
     """A field fitted to the small dataset in few steps."""
     from neuralgrasps.model.train import TrainConfig, train  # noqa: PLC0415 - imports torch
+    from neuralgrasps.model.train_data import Jitter  # noqa: PLC0415
 
-    config = TrainConfig(steps=60, batch=16, variants=1, noise_min=0.4, seed=1)
+    config = TrainConfig(steps=60, batch=16, jitter=Jitter(copies=1), noise_min=0.4, seed=1)
     return train(small_dataset, hands=small_world.hands, objects=small_world.objects, config=config)

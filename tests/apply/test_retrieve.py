@@ -84,7 +84,7 @@ def test_a_turned_copy_is_found_through_the_symmetry(small_world, make_object) -
     gallery = field.encode(grasps.X_OH, grasps.q, hand="allegro", object_name="brick")
     S = brick.symmetry.rotations[turns[0]]
     query = field.encode(S @ grasps.X_OH[5:6], grasps.q[5:6], hand="allegro", object_name="brick")
-    arguments = {"symmetry": brick.symmetry, "codec": field.object_codecs["brick"], "points_O": brick.points_O}
+    arguments = {"symmetry": brick.symmetry, "codec": field.object_codecs["brick"]}
     plain = retrieve(query, gallery, object_name="brick", count=1)
     found = retrieve_symmetric(query, gallery, count=1, **arguments)
     assert found.index[0, 0] == 5 and found.symmetry[0, 0] == turns[0]

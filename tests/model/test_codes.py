@@ -67,7 +67,8 @@ def test_cells_are_even_and_follow_the_object(make_object) -> None:
     assert len(set(codec.cell_of)) == CELLS
     moved = object_codec("x", points + 1.0, offset_O=points.mean(axis=0) + 1.0, radius_m=0.01)
     assert np.array_equal(moved.cell_of, codec.cell_of)
-    assert np.allclose(moved.descriptor, codec.descriptor)
+    assert np.allclose(moved.centres_O, codec.centres_O + 1.0)
+    assert codec.weights.mean() == pytest.approx(1.0)
     with pytest.raises(ShapeError, match="expected"):
         object_codec("x", points[:50], offset_O=np.zeros(3), radius_m=0.01)
 

@@ -14,6 +14,7 @@ from neuralgrasps.model.field import GraspField
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.losses import HandPoints, clamped_l1, point_distances, variable_margin_triplet
 from neuralgrasps.model.train import TrainConfig, add_noise, train
+from neuralgrasps.model.train_data import Jitter
 
 
 def test_field_is_exact_for_the_hand_and_the_grid_for_the_object(small_world) -> None:
@@ -76,7 +77,7 @@ def test_training_lowers_the_loss_and_repeats_exactly(small_world, small_dataset
 
 def test_weights_do_not_depend_on_the_threads_of_the_machine(small_world, small_dataset) -> None:
     before = torch.get_num_threads()
-    config = TrainConfig(steps=3, batch=64, variants=1)
+    config = TrainConfig(steps=3, batch=64, jitter=Jitter(copies=1))
     results = []
     try:
         for threads in (1, 4):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,34 +15,54 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 
 import neuralgrasps
-from neuralgrasps.errors import DataFormatError, unknown_name
+from neuralgrasps.errors import DataFormatError, InputError, unknown_name
 from neuralgrasps.files import write_whole
+from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
+from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.model.codes import CODE_SIZE, CodeBook, HandCodec, ObjectCodec
-from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField
+from neuralgrasps.model.decoder import Decoder, DecoderConfig
+from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.train import TrainConfig, TrainResult
+from neuralgrasps.model.train_data import Jitter
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.tensor_files import tensor_bytes
 
 VERSION = 2
 RUN_FILE, FIELD_FILE, CODES_FILE = "run.json", "field.safetensors", "codes.safetensors"
+GRASPS_FOLDER = "grasps"
+SAME_OBJECT_M = 1e-3  # contact points of a run lie this close to the mesh of its object
 _HAND_ARRAYS = ("lower", "upper", "mean", "basis", "X_HP")
-_OBJECT_ARRAYS = ("centres_O", "cell_of", "offset_O", "descriptor")
+_OBJECT_ARRAYS = ("points_O", "cell_of", "centres_O", "offset_O")
 _BOOK_ARRAYS = ("values", "hand_index", "object_index", "grasp_index", "contact_maps", "is_test")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """A fitted field read back. `config` is the training configuration as text and numbers, for the record."""
+    """A fitted field read back.
+
+    Attributes:
+        config: the training configuration as text and numbers, for the record.
+        grasps: by (hand, object), the sets that the code book's `grasp_index` counts in; none if none were saved.
+    """
 
     field: KinematicField
     codebook: CodeBook
     losses: np.ndarray
     config: Mapping[str, object]
+    grasps: Mapping[tuple[str, str], GraspSet]
 
 
-def save_run(folder: str | Path, result: TrainResult) -> Path:
-    """Write a fitted field and its codes into a folder; `run.json`, with the others' sha256, is written last."""
+def save_run(
+    folder: str | Path, result: TrainResult, *, grasps: Sequence[GraspSet] = (), compact_maps: bool = False
+) -> Path:
+    """Write a fitted field and its codes into a folder; `run.json`, with the others' sha256, is written last.
+
+    Args:
+        grasps: the grasps that the codes are of, to keep with them (`GraspDataset.grasps`); one set a pair.
+        compact_maps: store contact maps to 1/255, a quarter of the size.
+    """
     folder = Path(folder)
     field, book = result.field, result.codebook
     arrays: dict[str, np.ndarray] = {"losses": np.asarray(result.losses, np.float64)}
@@ -53,7 +73,10 @@ def save_run(folder: str | Path, result: TrainResult) -> Path:
     if field.decoder is not None:
         arrays |= {f"decoder.{k}": v.detach().cpu().contiguous().numpy() for k, v in field.decoder.state_dict().items()}
     field_bytes = tensor_bytes(arrays)
-    code_bytes = tensor_bytes({name: np.ascontiguousarray(getattr(book, name)) for name in _BOOK_ARRAYS})
+    code_arrays = {name: np.ascontiguousarray(getattr(book, name)) for name in _BOOK_ARRAYS}
+    if compact_maps:
+        code_arrays["contact_maps"] = np.round(code_arrays["contact_maps"] * 255.0).astype(np.uint8)
+    code_bytes = tensor_bytes(code_arrays)
     run = {
         "version": VERSION,
         "library_version": neuralgrasps.__version__,
@@ -68,12 +91,24 @@ def save_run(folder: str | Path, result: TrainResult) -> Path:
         "sha256": {
             FIELD_FILE: hashlib.sha256(field_bytes).hexdigest(),
             CODES_FILE: hashlib.sha256(code_bytes).hexdigest(),
+            **_write_grasps(folder, grasps, field),
         },
     }
     write_whole(folder / FIELD_FILE, field_bytes)
     write_whole(folder / CODES_FILE, code_bytes)
     write_whole(folder / RUN_FILE, (json.dumps(run, indent=1, sort_keys=True) + "\n").encode())
     return folder
+
+
+def _write_grasps(folder: Path, grasps: Sequence[GraspSet], field: KinematicField) -> dict[str, str]:
+    """Write a file for each set; sha256 by its name in the folder."""
+    written = {}
+    for some in grasps:
+        name = f"{GRASPS_FOLDER}/{some.object}/{some.hand}.safetensors"
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        save_grasps(folder / name, some, hand=field.hands.get(some.hand))
+        written[name] = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    return written
 
 
 def load_run(folder: str | Path, *, hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]) -> Run:
@@ -83,7 +118,7 @@ def load_run(folder: str | Path, *, hands: Mapping[str, Hand], objects: Mapping[
         hands, objects: the models it was fitted with, by name (more are welcome).
     Raises:
         DataFormatError: missing, damaged, or of another version.
-        UnknownNameError: a hand or object of the run is not given.
+        UnknownNameError: a hand or object of the run is not given. InputError: an object is not the one of the run.
     """
     folder = Path(folder)
     run = _read_json(folder / RUN_FILE)
@@ -95,22 +130,59 @@ def load_run(folder: str | Path, *, hands: Mapping[str, Hand], objects: Mapping[
                 raise unknown_name(kind, name, given)
     try:
         field = _field_of(run, field_arrays, hands, objects)
-        book = CodeBook(
-            **{name: code_arrays[name] for name in _BOOK_ARRAYS},
-            hands=tuple(run["codebook"]["hands"]),
-            objects=tuple(run["codebook"]["objects"]),
+        return Run(
+            field=field,
+            codebook=_book_of(run, code_arrays),
+            losses=field_arrays["losses"],
+            config=run["config"],
+            grasps=_grasps_of(folder, run),
         )
-        return Run(field=field, codebook=book, losses=field_arrays["losses"], config=run["config"])
     except (KeyError, RuntimeError) as error:
         raise DataFormatError(f"'{folder}' lacks an entry: {error}. Train again.") from error
+
+
+def _book_of(run: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> CodeBook:
+    maps = arrays["contact_maps"]
+    if maps.dtype == np.uint8:
+        maps = maps.astype(np.float32) / 255.0
+    return CodeBook(
+        **{name: arrays[name] for name in _BOOK_ARRAYS if name != "contact_maps"},
+        contact_maps=maps,
+        hands=tuple(run["codebook"]["hands"]),
+        objects=tuple(run["codebook"]["objects"]),
+    )
+
+
+def _grasps_of(folder: Path, run: dict[str, Any]) -> dict[tuple[str, str], GraspSet]:
+    found = {}
+    for name, sha256 in run["sha256"].items():
+        if not name.startswith(f"{GRASPS_FOLDER}/"):
+            continue
+        path = folder / name
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+            raise DataFormatError(f"'{path}' is missing or not the file that {RUN_FILE} names. Train again.")
+        grasps = load_grasps(path)
+        found[grasps.hand, grasps.object] = grasps
+    return found
+
+
+def _check_same(codec: ObjectCodec, obj: ObjectModel) -> None:
+    """That an object is the one whose contact points were encoded."""
+    away = float(np.quantile(np.abs(query_grid_numpy(obj.sdf, codec.points_O)), 0.95))
+    if away > SAME_OBJECT_M:
+        raise InputError(
+            f"object '{obj.name}' is not the one that the run was fitted with: its surface is {1e3 * away:.1f} mm "
+            f"off (95th percentile). It was read from: {obj.provenance.get('source', 'unknown')}. Give the right mesh; the scans "
+            "of YCB come with 'neuralgrasps objects download ycb'."
+        )
 
 
 def restored_config(run: Run) -> TrainConfig:
     """The training configuration of a run."""
     values = dict(run.config)
-    decoder = values.pop("decoder")
-    assert isinstance(decoder, dict)
-    return TrainConfig(**values, decoder=DecoderConfig(**decoder))  # type: ignore[arg-type]
+    decoder, jitter = values.pop("decoder"), values.pop("jitter")
+    assert isinstance(decoder, dict) and isinstance(jitter, dict)
+    return TrainConfig(**values, decoder=DecoderConfig(**decoder), jitter=Jitter(**jitter))  # type: ignore[arg-type]
 
 
 def _field_of(
@@ -126,6 +198,8 @@ def _field_of(
         )
         for i, name in enumerate(run["objects"])
     }
+    for name, codec in object_codecs.items():
+        _check_same(codec, objects[name])
     decoder = None
     if run["decoder"] is not None:
         widths = {k: v for k, v in run["decoder"].items() if k != "hands"}

@@ -25,7 +25,6 @@ CONTACT_BLOCK = slice(0, CELLS)
 PALM_BLOCK = slice(CELLS, CELLS + PALM)
 POSTURE_BLOCK = slice(CELLS + PALM, CODE_SIZE)
 PALM_UNIT_M = 0.1  # one unit of the palm position
-DESCRIPTOR_SIZE = 16
 _LLOYD_STEPS = 10
 
 
@@ -34,19 +33,24 @@ class ObjectCodec:
     """What codes need to know of an object.
 
     Attributes:
+        points_O: (P, 3) float64 the object's contact points, metres.
+        cell_of: (P,) int32, the cell of each.
         centres_O: (96, 3) float64 middles of the cells, metres.
-        cell_of: (P,) int32, the cell of each of the object's contact points.
         offset_O: (3,) centre that palm positions are relative to, metres.
         radius_m: decay length of the contact closeness.
-        descriptor: (16,) float64, size and shape of the object in about unit numbers (needs no training).
     """
 
     name: str
-    centres_O: np.ndarray
+    points_O: np.ndarray
     cell_of: np.ndarray
+    centres_O: np.ndarray
     offset_O: np.ndarray
     radius_m: float
-    descriptor: np.ndarray
+
+    @property
+    def weights(self) -> np.ndarray:
+        """(96,) what the block of a map of ones holds: each cell's number of points, 1 on average."""
+        return np.bincount(self.cell_of, minlength=CELLS) * (CELLS / len(self.cell_of))
 
 
 def object_codec(name: str, points_O: np.ndarray, *, offset_O: np.ndarray, radius_m: float) -> ObjectCodec:
@@ -54,16 +58,13 @@ def object_codec(name: str, points_O: np.ndarray, *, offset_O: np.ndarray, radiu
     if points_O.ndim != 2 or points_O.shape[1] != 3 or len(points_O) < CELLS:
         raise ShapeError(f"object '{name}': points_O has shape {points_O.shape}; expected (P >= {CELLS}, 3).")
     centres, cell_of = even_cells(points_O - offset_O)
-    centred = (points_O - offset_O) / PALM_UNIT_M
-    moments = (centred.T @ centred / len(centred))[np.triu_indices(3)]
-    radii = np.quantile(np.linalg.norm(centred, axis=1), np.linspace(0.0, 1.0, 7))
     return ObjectCodec(
         name=name,
-        centres_O=centres + offset_O,
+        points_O=np.ascontiguousarray(points_O, np.float64),
         cell_of=cell_of,
+        centres_O=centres + offset_O,
         offset_O=np.asarray(offset_O, np.float64),
         radius_m=float(radius_m),
-        descriptor=np.concatenate([np.ptp(centred, axis=0), moments, radii]),
     )
 
 

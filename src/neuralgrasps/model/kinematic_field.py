@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from neuralgrasps.dataset.samples import contact_maps, normalisation_of
 from neuralgrasps.errors import InputError, ShapeError, unknown_name
@@ -26,10 +26,8 @@ from neuralgrasps.hands.signed_distance import hand_signed_distance
 from neuralgrasps.model.codes import (
     CELLS,
     CODE_SIZE,
-    DESCRIPTOR_SIZE,
     PALM,
     PALM_UNIT_M,
-    POSTURE,
     CodeBook,
     HandCodec,
     ObjectCodec,
@@ -38,42 +36,12 @@ from neuralgrasps.model.codes import (
     hand_codec,
     object_codec,
 )
+from neuralgrasps.model.decoder import Decoder, cell_tensors, corrected_blocks
 from neuralgrasps.model.field import FieldOutput
 from neuralgrasps.objects.object_model import ObjectModel
 
 CONTACT_DECAY = 0.05  # of an object outside any dataset, in its normalised units
 POINT_SPACING_M = 0.006
-SURE_LEVEL = 0.05  # below about this noise level codes are better than what the network knows of grasps
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecoderConfig:
-    """Widths of the correction network: code -> trunk -> trunk -> per-hand head -> palm and posture."""
-
-    trunk_width: int = 384
-    head_width: int = 256
-
-
-class Decoder(nn.Module):
-    """Correction of the palm and posture blocks, per unit of noise level; one trunk, one head per hand."""
-
-    def __init__(self, hands: tuple[str, ...], config: DecoderConfig | None = None) -> None:
-        super().__init__()
-        self.config = config or DecoderConfig()
-        self.hands = tuple(hands)
-        width, head = self.config.trunk_width, self.config.head_width
-        self.trunk = nn.Sequential(
-            nn.Linear(CODE_SIZE + DESCRIPTOR_SIZE + 1, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
-        )
-        self.heads = nn.ModuleList(
-            nn.Sequential(nn.Linear(width, head), nn.SiLU(), nn.Linear(head, PALM + POSTURE)) for _ in self.hands
-        )
-
-    def forward(self, codes: Tensor, descriptor: Tensor, noise_level: Tensor, hand: str) -> Tensor:
-        """(N, 32) correction for codes (N, 128), descriptors (N, 16) and levels (N,)."""
-        level = torch.log(noise_level.clamp(min=1e-4))[:, None] / 4.0
-        features = self.trunk(torch.cat([codes, descriptor, level], dim=-1))
-        return self.heads[self.hands.index(hand)](features)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,8 +98,9 @@ class KinematicField:
             X_OH: (N, 4, 4) hand base in the object frame, metres; q: (N, J) joints.
         """
         self.hand(hand).check_q(q)
-        points, codec = self.object(object_name).points_O, self.object_codecs[object_name]
-        maps = contact_maps(self.packed[hand], X_OH, q, points, radius_m=codec.radius_m)
+        self.object(object_name)
+        codec = self.object_codecs[object_name]
+        maps = contact_maps(self.packed[hand], X_OH, q, codec.points_O, radius_m=codec.radius_m)
         return self.encode_with_maps(maps, X_OH, q, hand=hand, object_name=object_name)
 
     def encode_with_maps(
@@ -168,14 +137,12 @@ class KinematicField:
             raise InputError(f"noise_level is {float(level.min())}; expected 0 or more.")
         blocks = codes[:, CELLS:]
         if self.decoder is not None and hand in self.decoder.hands and bool((level > 0).any()):
-            descriptor = self.descriptor(object_name, codes)
-            blocks = blocks + correction(self.decoder, codes, descriptor, level, hand)
+            decoder = self.decoder.to(codes.device)
+            cells = cell_tensors([self.object_codecs[object_name]], dtype=torch.float32, device=codes.device)
+            whose = torch.full((len(codes),), decoder.hands.index(hand), device=codes.device)
+            moved = corrected_blocks(decoder, codes.float(), cells.expand(len(codes)), level.float(), whose)
+            blocks = torch.where(level[:, None] > 0, moved.to(codes.dtype), blocks)
         return decode_blocks(blocks, self.hand_codecs[hand], self.object_codecs[object_name])
-
-    def descriptor(self, object_name: str, like: Tensor) -> Tensor:
-        """(N, 16) descriptor of an object, one row per row of `like`, on its device and of its dtype."""
-        values = torch.as_tensor(self.object_codecs[object_name].descriptor, dtype=like.dtype, device=like.device)
-        return values.expand(len(like), DESCRIPTOR_SIZE)
 
     def __call__(
         self, points_O: Tensor, codes: Tensor, *, hand: str, object_name: str, noise_level: float | Tensor = 0.0
@@ -211,15 +178,6 @@ def default_object_codec(obj: ObjectModel, *, contact_decay: float = CONTACT_DEC
     """The codec of an object outside any dataset; `contact_decay` in its normalised units."""
     frame = normalisation_of(obj.points_O)
     return object_codec(obj.name, obj.points_O, offset_O=frame.offset_O, radius_m=contact_decay * frame.scale_m)
-
-
-def correction(decoder: Decoder, codes: Tensor, descriptor: Tensor, level: Tensor, hand: str) -> Tensor:
-    """(N, 32) what the network adds to the palm and posture blocks of codes (N, 128) at levels (N,).
-
-    In proportion to the level, and less where a code is nearly right: the network would only blur it there.
-    """
-    trust = level**3 / (level**2 + SURE_LEVEL**2)
-    return trust[:, None] * decoder(codes, descriptor, level, hand)
 
 
 def decode_blocks(blocks: Tensor, hand: HandCodec, obj: ObjectCodec) -> DecodedGrasps:

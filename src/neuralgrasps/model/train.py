@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from neuralgrasps.dataset.read import GraspDataset
-from neuralgrasps.dataset.samples import contact_maps
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.geometry.rotation import exp_so3
 from neuralgrasps.hands.hand import Hand
@@ -19,17 +18,16 @@ from neuralgrasps.model.codes import (
     CELLS,
     PALM,
     CodeBook,
-    HandCodec,
-    assemble_codes,
-    contact_blocks,
     hand_codec,
     join_codes,
     object_codec,
 )
-from neuralgrasps.model.kinematic_field import Decoder, DecoderConfig, KinematicField, correction, decode_blocks
-from neuralgrasps.model.losses import HandPoints, point_distances
+from neuralgrasps.model.decoder import CellTensors, Decoder, DecoderConfig, cell_tensors, corrected_blocks
+from neuralgrasps.model.kinematic_field import KinematicField, decode_blocks
+from neuralgrasps.model.losses import point_distances
+from neuralgrasps.model.train_data import HandData, Jitter, collect_data
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.seeds import child_rng, child_seed
+from neuralgrasps.seeds import child_seed
 
 Progress = Callable[[int, int, float], None]
 """Called as progress(steps done, all steps, latest loss)."""
@@ -45,28 +43,26 @@ class TrainConfig:
         learning_rate: peak of the one-cycle schedule (Adam).
         noise_min, noise_max: range of noise levels, in code units (0.1 = 1 cm, 0.1 rad, 5 % of a joint's range).
         contact_noise: noise of the contact block per unit of noise level.
-        variants: jittered copies of each grasp, with contact maps of their own, beside the grasp itself.
-        jitter_m, jitter_rad, jitter_joint: standard deviations of that jitter (joint: share of its range).
+        jitter: copies of each grasp, with contact blocks of their own, beside the grasp itself.
         threads: torch's threads while training, on any machine: sums come out the same only for the same number.
     """
 
     seed: int = 0
-    steps: int = 500
-    batch: int = 48
-    learning_rate: float = 1.5e-3
+    steps: int = 2000
+    batch: int = 64
+    learning_rate: float = 3e-3
     noise_min: float = 0.02
     noise_max: float = 0.5
     contact_noise: float = 0.2
-    variants: int = 4
-    jitter_m: float = 0.01
-    jitter_rad: float = 0.1
-    jitter_joint: float = 0.05
+    jitter: Jitter = field(default_factory=Jitter)
     threads: int = 2
     decoder: DecoderConfig = field(default_factory=DecoderConfig)
 
     def __post_init__(self) -> None:
-        if self.steps < 0 or self.batch < 1 or self.variants < 0:
-            raise InputError(f"steps {self.steps}, batch {self.batch}, variants {self.variants}; expected >= 0, 1, 0.")
+        if self.steps < 0 or self.batch < 1 or self.jitter.copies < 0:
+            raise InputError(
+                f"steps {self.steps}, batch {self.batch}, copies {self.jitter.copies}; expected at least 0, 1 and 0."
+            )
         if self.threads < 1:
             raise InputError(f"threads is {self.threads}; expected at least 1.")
         if not 0.0 < self.noise_min <= self.noise_max:
@@ -87,16 +83,6 @@ class TrainResult:
     codebook: CodeBook
     losses: np.ndarray
     config: TrainConfig
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _HandData:
-    """Training tensors of one hand: clean codes, object of each, and the clean hands' points (object frame)."""
-
-    codes: Tensor
-    object_of: Tensor
-    points_O: Tensor
-    material: HandPoints
 
 
 def train(
@@ -123,8 +109,9 @@ def train(
     with _torch_threads(config.threads):
         codebook = encode_dataset(field, dataset)
         generator = torch.Generator().manual_seed(child_seed(config.seed, "decoder"))
-        decoder = _new_decoder(dataset.hands, config.decoder, generator)
-        data = {name: _hand_data(field, dataset, name, config) for name in dataset.hands}
+        data = collect_data(field, dataset, jitter=config.jitter, seed=config.seed, threads=config.threads)
+        decoder = Decoder(tuple(data), config.decoder)
+        decoder.initialise(generator)
         losses = _optimise(field, decoder, data, config, generator, progress)
     field.decoder = decoder.eval().requires_grad_(False)
     return TrainResult(field=field, codebook=codebook, losses=losses, config=config)
@@ -190,66 +177,6 @@ def encode_dataset(field: KinematicField, dataset: GraspDataset) -> CodeBook:
     return join_codes(books)
 
 
-def _new_decoder(hands: tuple[str, ...], config: DecoderConfig, generator: torch.Generator) -> Decoder:
-    decoder = Decoder(hands, config)
-    with torch.no_grad():
-        for module in decoder.modules():
-            if isinstance(module, torch.nn.Linear):
-                bound = 1.0 / np.sqrt(module.in_features)
-                module.weight.uniform_(-bound, bound, generator=generator)
-                module.bias.zero_()
-        for head in decoder.heads:
-            *_, last = head.children()
-            last.get_parameter("weight").mul_(0.05)  # start close to decoding what the code says
-    return decoder
-
-
-def _hand_data(field: KinematicField, dataset: GraspDataset, name: str, config: TrainConfig) -> _HandData:
-    codes, object_of, X_all, q_all = [], [], [], []
-    for hand, object_name in dataset.pairs:
-        if hand != name:
-            continue
-        chosen = dataset.split(hand, object_name).train
-        grasps = dataset.grasps(hand, object_name)[chosen]
-        obj = field.object_codecs[object_name]
-        known = contact_blocks(dataset.contact_maps(hand, object_name)[chosen], obj)
-        rng = child_rng(config.seed, "jitter", hand, object_name)
-        X, q = _jittered(np.array(grasps.X_OH), np.array(grasps.q), field.hand_codecs[hand], config, rng)
-        maps = contact_maps(field.packed[hand], X, q, dataset.object(object_name).points_O, radius_m=obj.radius_m)
-        X, q = np.concatenate([grasps.X_OH, X]), np.concatenate([grasps.q, q])
-        near = np.concatenate([known, contact_blocks(maps, obj)])
-        codes.append(assemble_codes(near, X, q, hand=field.hand_codecs[hand], obj=obj))
-        object_of.append(np.full(len(X), dataset.objects.index(object_name)))
-        X_all.append(X)
-        q_all.append(q)
-    material = HandPoints(field.hands[name], field.packed[name])
-    points_O = material.posed(
-        torch.as_tensor(np.concatenate(X_all), dtype=torch.float32),
-        torch.as_tensor(np.concatenate(q_all), dtype=torch.float32),
-    )
-    return _HandData(
-        codes=torch.as_tensor(np.concatenate(codes)),
-        object_of=torch.as_tensor(np.concatenate(object_of)),
-        points_O=points_O,
-        material=material,
-    )
-
-
-def _jittered(
-    X_OH: np.ndarray, q: np.ndarray, codec: HandCodec, config: TrainConfig, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray]:
-    """`variants` perturbed copies of each grasp: the palm is moved and turned about itself, joints stay in limits."""
-    X = np.repeat(X_OH, config.variants, axis=0)
-    q = np.repeat(q, config.variants, axis=0)
-    X_OP = X @ codec.X_HP
-    turn = exp_so3(torch.as_tensor(rng.normal(scale=config.jitter_rad, size=(len(X), 3)))).numpy()
-    X_OP[:, :3, :3] = X_OP[:, :3, :3] @ turn
-    X_OP[:, :3, 3] += rng.normal(scale=config.jitter_m, size=(len(X), 3))
-    span = codec.upper - codec.lower
-    q = np.clip(q + rng.normal(scale=config.jitter_joint, size=q.shape) * span, codec.lower, codec.upper)
-    return X_OP @ np.linalg.inv(codec.X_HP), q
-
-
 def add_noise(codes: Tensor, level: Tensor, *, joints: int, contact_noise: float, generator: torch.Generator) -> Tensor:
     """Codes (N, 128) off by about `level` (N,): palm moved and turned, posture and contact blocks shifted.
 
@@ -272,7 +199,7 @@ def add_noise(codes: Tensor, level: Tensor, *, joints: int, contact_noise: float
 def _optimise(
     field: KinematicField,
     decoder: Decoder,
-    data: Mapping[str, _HandData],
+    data: Mapping[str, HandData],
     config: TrainConfig,
     generator: torch.Generator,
     progress: Progress | None,
@@ -284,8 +211,9 @@ def _optimise(
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, max_lr=config.learning_rate, total_steps=config.steps, pct_start=0.1
     )
+    cells = cell_tensors(list(field.object_codecs.values()), dtype=torch.float32)
     for step in range(config.steps):
-        loss = torch.stack([_hand_loss(field, decoder, d, config, generator) for d in data.values()]).mean()
+        loss = _loss(field, decoder, data, cells, config, generator)
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0)
@@ -297,23 +225,42 @@ def _optimise(
     return losses
 
 
-def _hand_loss(
-    field: KinematicField, decoder: Decoder, data: _HandData, config: TrainConfig, generator: torch.Generator
+def _loss(
+    field: KinematicField,
+    decoder: Decoder,
+    data: Mapping[str, HandData],
+    cells: CellTensors,
+    config: TrainConfig,
+    generator: torch.Generator,
 ) -> Tensor:
-    """Mean point error over noise level of a random batch of one hand's grasps."""
-    hand = data.material.hand.name
-    codec = field.hand_codecs[hand]
-    chosen = torch.randint(len(data.codes), (config.batch,), generator=generator)
+    """Mean point error over noise level of a random batch of every hand's grasps; the network sees all at once."""
     low, high = np.log(config.noise_min), np.log(config.noise_max)
-    level = torch.exp(low + (high - low) * torch.rand(config.batch, generator=generator))
-    joints = min(codec.num_joints, codec.basis.shape[1])
-    noisy = add_noise(data.codes[chosen], level, joints=joints, contact_noise=config.contact_noise, generator=generator)
+    noisy, levels, chosen = [], [], []
+    for hand, own in data.items():
+        rows = torch.randint(len(own.codes), (config.batch,), generator=generator)
+        level = torch.exp(low + (high - low) * torch.rand(config.batch, generator=generator))
+        codec = field.hand_codecs[hand]
+        joints = min(codec.num_joints, codec.basis.shape[1])
+        noisy.append(
+            add_noise(own.codes[rows], level, joints=joints, contact_noise=config.contact_noise, generator=generator)
+        )
+        levels.append(level)
+        chosen.append(rows)
+    objects = torch.cat([own.object_index[rows] for own, rows in zip(data.values(), chosen, strict=True)])
+    whose = torch.arange(len(data)).repeat_interleave(config.batch)
+    moved = corrected_blocks(decoder, torch.cat(noisy), cells[objects], torch.cat(levels), whose)
+    errors = []
+    for k, (hand, own) in enumerate(data.items()):
+        part = slice(k * config.batch, (k + 1) * config.batch)
+        errors.append(_point_errors(field, own, hand, moved[part], chosen[k]) / levels[k])
+    return torch.cat(errors).mean()
+
+
+def _point_errors(field: KinematicField, own: HandData, hand: str, blocks: Tensor, rows: Tensor) -> Tensor:
+    """(B,) mean distance of the hand's points at decoded blocks (B, 32) to where they should be, metres."""
     objects = list(field.object_codecs.values())
-    descriptors = torch.as_tensor(np.stack([o.descriptor for o in objects]), dtype=noisy.dtype)
-    offsets = torch.as_tensor(np.stack([o.offset_O for o in objects]), dtype=noisy.dtype)
-    place = data.object_of[chosen]
-    blocks = noisy[:, CELLS:] + correction(decoder, noisy, descriptors[place], level, hand)
-    # Decode relative to the objects' centres: one call for a batch over several objects.
-    grasps = decode_blocks(blocks, codec, objects[0])
-    moved = data.material.posed(grasps.X_OH, grasps.q) + (offsets[place] - offsets[0])[:, None]
-    return (point_distances(moved, data.points_O[chosen]) / level).mean()
+    offsets = torch.as_tensor(np.stack([o.offset_O for o in objects]), dtype=blocks.dtype)[own.object_index[rows]]
+    # Decoded relative to the objects' centres: one call for a batch over several objects.
+    grasps = decode_blocks(blocks, field.hand_codecs[hand], objects[0])
+    shift = offsets - torch.as_tensor(objects[0].offset_O, dtype=blocks.dtype)
+    return point_distances(own.material.posed(grasps.X_OH, grasps.q) + shift[:, None], own.points_O[rows])
