@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,6 +96,7 @@ def novel_grasps(
     config: NovelConfig | None = None,
     seed: int = 0,
     threads: int = 1,
+    progress: Callable[[int, int], None] | None = None,
 ) -> NovelResult:
     """Make codes, decode them, close the hand, and try each grasp once in physics.
 
@@ -103,6 +104,7 @@ def novel_grasps(
         field: knows the hand and the object; codebook: known codes of this hand on this object (training codes only are
             used): at least one, or two for midpoints and densities.
         threads: of the physics trials; the result does not depend on it.
+        progress: called with (codes closed, codes).
     Raises:
         UnknownNameError: the field does not know the hand or the object.
         InputError: too few known codes. Codes of other hands are of no use here.
@@ -112,6 +114,7 @@ def novel_grasps(
     trials = try_decoded(
         field.hand(hand), field.object(object_name), decoded.X_OH, decoded.q, config=config, seed=decoded.seed,
         threads=threads,
+        progress=progress,
     )  # fmt: skip
     return judge_novel(field, decoded, trials, config=config, seed=seed)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Literal, get_args
 
@@ -91,13 +92,22 @@ class Trials:
 
 
 def try_decoded(
-    hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, *, config: NovelConfig, seed: int, threads: int = 1
+    hand: Hand,
+    obj: ObjectModel,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    config: NovelConfig,
+    seed: int,
+    threads: int = 1,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Trials:
     """Close, judge, settle and squeeze N decoded hands, and try each once in physics.
 
     Args:
         X_OH: (N, 4, 4); q: (N, J) as decoded. seed: of the variations, if `config.search` asks for any.
         threads: of the physics trials; the result does not depend on it.
+        progress: called with (hands closed, N).
     """
     problem = novel_problem(hand, obj, config.protocol)
     count = len(q)
@@ -108,6 +118,8 @@ def try_decoded(
         best, overlap = best_variation(
             problem, X_OH[i], q[i], search=config.search, rng=child_rng(seed, "variations", i)
         )
+        if progress is not None:
+            progress(i + 1, count)
         outcome[i] = _failure(int(best.outcome[0]), overlap)
         if outcome[i] != NOT_HELD:
             continue

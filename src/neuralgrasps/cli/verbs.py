@@ -42,6 +42,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("train",), "train:train", "fit the latent space that all hands share"),
     Verb(("evaluate",), "evaluate:evaluate", "measure a trained run, a dataset or grasps"),
     Verb(("retrieve",), "retrieve:retrieve", "grasps of any hand that hold an object alike"),
+    Verb(("novel",), "novel:novel", "new grasps from codes near and between known ones, tried in physics"),
     Verb(("pose",), "pose:pose", "where an object is, from points or a depth image"),
     Verb(("bench",), "bench:bench", "run a benchmark and print its figures"),
 )
