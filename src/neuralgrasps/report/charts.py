@@ -14,36 +14,62 @@ from neuralgrasps.report.palette import HAND_COLOURS, hand_colour
 _SHAPES = {"fetch": "circle", "panda": "square", "barrett": "triangle", "allegro": "diamond", "human": "cross"}
 
 
-def scatter_svg(points: np.ndarray, hands: Sequence[str], notes: Sequence[str] = (), *, label: str = "") -> str:
+def scatter_svg(
+    points: np.ndarray,
+    hands: Sequence[str],
+    notes: Sequence[str] = (),
+    *,
+    label: str = "",
+    unseen: Sequence[int] = (),
+    letters: Mapping[int, str] | None = None,
+) -> str:
     """Scatter of (N, 2) points coloured and shaped by hand; no axes, since t-SNE's have no meaning.
 
     Args:
         points: (N, 2) finite numbers; hands: N names; notes: N hover texts, or none.
         label: what the picture is, read by screen readers.
+        unseen: points drawn as outlines. letters: point -> the letter beside it.
     """
     width, height, border = 640, 460, 22
     points = np.asarray(points, np.float64).reshape(-1, 2)
     low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.ones(2))
-    scale = min((width - 2 * border) / max(high[0] - low[0], 1e-9), (height - 2 * border) / max(high[1] - low[1], 1e-9))
-    at = (points - 0.5 * (low + high)) * [scale, -scale] + [width / 2, height / 2]
-    marks = []
+    scale = np.array([width - 2 * border, height - 2 * border]) / np.maximum(high - low, 1e-9)
+    scale = np.minimum(scale, 1.6 * scale.min())  # neither axis means anything: fill the frame, within reason
+    at = (points - 0.5 * (low + high)) * scale * [1, -1] + [width / 2, height / 2]
+    outlined, named = set(unseen), letters or {}
+    marks, tags = [], []
     for index, ((x, y), hand) in enumerate(zip(at, hands, strict=True)):
-        text = f"{hand}: {notes[index]}" if index < len(notes) else hand
+        note = notes[index] if index < len(notes) else ""
+        text = f"{hand}: {note}" if note else hand
+        css = "mark unseen" if index in outlined else "mark"
+        letter = named.get(index)
+        data = f' data-letter="{escape(letter)}"' if letter else ""
         marks.append(
-            f'<g class="mark" fill="{hand_colour(hand)}">{_mark(_shape(hand), x, y)}<title>{escape(text)}</title></g>'
+            f'<g class="{css}" data-hand="{escape(hand)}" data-at="{x:.1f} {y:.1f}"{data} style="--c:{hand_colour(hand)}">'
+            f"{_mark(_shape(hand), x, y)}<title>{escape(text)}</title></g>"
         )
-    return _svg(width, height, "".join(marks), label or "scatter of latent codes coloured by hand")
+        if letter:
+            tags.append(
+                f'<g class="letter" data-hand="{escape(hand)}" aria-hidden="true"><circle cx="{x:.1f}" cy="{y:.1f}" r="8.5"/>'
+                f'<text x="{x + 9:.1f}" y="{y - 7:.1f}">{escape(letter)}</text></g>'
+            )
+    return _svg(width, height, "".join(marks + tags), label or "scatter of latent codes coloured by hand")
 
 
-def legend_html(hands: Sequence[str]) -> str:
-    """The hands with their colour and shape, in a fixed order."""
+def legend_html(hands: Sequence[str], *, toggles: bool = False) -> str:
+    """The hands with their colour and shape, in a fixed order; as buttons that show and hide them if `toggles`."""
     known = [name for name in HAND_COLOURS if name in hands]
     items = known + sorted(set(hands) - set(known))
     parts = []
     for hand in items:
-        mark = f'<g fill="{hand_colour(hand)}">{_mark(_shape(hand), 7, 7)}</g>'
-        parts.append(f'<span><svg viewBox="0 0 14 14" aria-hidden="true">{mark}</svg>{escape(hand)}</span>')
-    return f'<div class="legend">{"".join(parts)}</div>'
+        mark = f'<g class="mark" style="--c:{hand_colour(hand)}">{_mark(_shape(hand), 7, 7)}</g>'
+        content = f'<svg class="chart" viewBox="0 0 14 14" aria-hidden="true">{mark}</svg>{escape(hand)}'
+        if toggles:
+            button = f'<button type="button" aria-pressed="true" data-hand="{escape(hand)}">{content}</button>'
+            parts.append(button)
+        else:
+            parts.append(f"<span>{content}</span>")
+    return f'<div class="legend{" toggles" if toggles else ""}">{"".join(parts)}</div>'
 
 
 def histogram_svg(values: Mapping[str, np.ndarray], unit: str, *, limit: float | None = None, label: str = "") -> str:

@@ -6,6 +6,7 @@ and shows as a dash. An empty section is left out of the page. Texts are plain; 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -136,13 +137,21 @@ class TransferFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatentMap:
-    """A t-SNE of latent codes: `points` (N, 2), the hand of each, its object, and optional notes shown on hover."""
+    """A t-SNE of latent codes.
+
+    Attributes:
+        points: (N, 2); hands: of each point; notes: shown on hover, one per point or none.
+        unseen: points of grasps that training never saw, drawn as outlines.
+        pictures: point -> picture of its grasp, shown beside the plot; those points carry letters.
+    """
 
     title: str
     points: np.ndarray
     hands: tuple[str, ...]
     notes: tuple[str, ...] = ()
     text: str = ""
+    unseen: tuple[int, ...] = ()
+    pictures: Mapping[int, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,13 +10,13 @@ from pathlib import Path
 from neuralgrasps.errors import InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.report.content import DemoReport, KeyFigure, Listing
+from neuralgrasps.report.latent_section import latent_section
 from neuralgrasps.report.palette import contact_gradient
 from neuralgrasps.report.sections import (
     PictureEncoder,
     contacts_section,
     grasps_section,
     hands_section,
-    latent_section,
     pose_section,
     retrieval_section,
     transfer_section,
@@ -57,7 +57,9 @@ _TEXTS = {
     " most different pair.",
     "transfer": "A grasp of one hand, carried to another through the shared latent space.",
     "latent": "Every mark is one grasp, placed by t-SNE so that near codes are near. Where the colours mix, "
-    "different hands hold the object in the same way; distances between far groups mean nothing.",
+    "different hands hold the object in the same way; distances between far groups mean nothing. Outlined marks are "
+    "grasps that training never saw. Letters stand for the pictures. Point at a mark, or walk from mark to mark with the "
+    "arrow keys; the names of the hands show and hide theirs.",
     "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: "
     "the object tinted and outlined; a white outline is the true pose. Errors are measured against it, "
     "up to the object's own symmetries.",
@@ -120,13 +122,13 @@ def _page(report: DemoReport, pictures: PictureEncoder) -> str:
         f"{_hero(report)}<nav aria-label='Sections'><div>{links}</div></nav><main>{body}</main>{_footer(report)}"
         '<dialog id="zoom" aria-label="Enlarged picture"><div><img alt=""/></div><p></p></dialog>'
         # the script holds neither < nor &, so that the page is XML too
-        f"<script>{_asset('page.js')}</script></body></html>\n"
+        f"<script>{_asset('page.js')}{_asset('latent.js')}</script></body></html>\n"
     )
 
 
 def _page_css() -> str:
     """The style sheet, with the contact colour scale that the pictures use."""
-    return f":root {{ --contact-scale: {contact_gradient()}; }}\n" + _asset("page.css")
+    return f":root {{ --contact-scale: {contact_gradient()}; }}\n" + _asset("page.css") + _asset("latent.css")
 
 
 def _asset(name: str) -> str:
@@ -149,7 +151,7 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         ("contacts", "Contact maps", bool(report.contacts), lambda: contacts_section(report.contacts, pictures)),
         ("retrieval", "Retrieval", bool(report.retrieval), lambda: retrieval_section(report.retrieval, pictures)),
         ("transfer", "Transfer", bool(report.transfers), lambda: transfer_section(report.transfers, pictures)),
-        ("latent", "Latent space", bool(report.latent_maps), lambda: latent_section(report.latent_maps)),
+        ("latent", "Latent space", bool(report.latent_maps), lambda: latent_section(report.latent_maps, pictures)),
         ("pose", "Object pose", bool(report.poses), lambda: pose_section(report.poses, pictures)),
     ]
     sections = [(name, title, build()) for name, title, shown, build in builders if shown]

@@ -10,12 +10,11 @@ from html import escape
 import numpy as np
 from PIL import Image, features
 
-from neuralgrasps.report.charts import legend_html, scatter_svg, short_number
+from neuralgrasps.report.charts import short_number
 from neuralgrasps.report.content import (
     ContactFigure,
     GraspFigure,
     HandFigure,
-    LatentMap,
     Neighbour,
     PoseFigure,
     RetrievalRow,
@@ -103,16 +102,6 @@ def transfer_section(transfers: Sequence[TransferFigure], pictures: PictureEncod
         caption = f'<figcaption><div class="top">{title}</div>{facts}{_note(t.text)}</figcaption>'
         cards.append(f'<figure><div class="pair">{buttons}</div>{caption}</figure>')
     return grid(cards, wide=True)
-
-
-def latent_section(maps: Sequence[LatentMap]) -> str:
-    cards = []
-    for m in maps:
-        svg = scatter_svg(m.points, m.hands, m.notes, label=f"t-SNE of {m.title}")
-        title = f'<div class="top">{escape(pretty_name(m.title))}<span class="chip">{len(m.hands)} grasps</span></div>'
-        cards.append(f'<figure><div class="plot">{svg}</div><figcaption>{title}{_note(m.text)}</figcaption></figure>')
-    hands = [hand for m in maps for hand in m.hands]
-    return legend_html(hands) + grid(cards, wide=True)
 
 
 def pose_section(poses: Sequence[PoseFigure], pictures: PictureEncoder) -> str:
