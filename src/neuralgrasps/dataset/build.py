@@ -22,7 +22,7 @@ from neuralgrasps.dataset.schema import (
     write_manifest,
 )
 from neuralgrasps.dataset.shards import ShardFiles, ShardTask, build_shard, fingerprint_of, write_grasps
-from neuralgrasps.dataset.splits import split_grasps
+from neuralgrasps.dataset.splits import sort_held_out, split_grasps
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.files import write_whole
 from neuralgrasps.grasps.grasp_set import GraspSet
@@ -60,10 +60,11 @@ def build_dataset(
     hands: Mapping[str, Hand],
     objects: Mapping[str, ObjectModel],
     config: DatasetConfig | None = None,
+    hold_out: Sequence[str] = (),
     workers: int = 1,
     progress: Progress | None = None,
 ) -> BuildResult:
-    """Write a dataset of SDF samples, contact maps and splits.
+    """Write a dataset of SDF samples, contact maps, point clouds where the configuration asks for them, and splits.
 
     Each pair of hand and object is one shard, written to a temporary name and renamed. A killed build
     leaves only whole shards; calling again with the same arguments continues it, and finishes at once when all
@@ -73,15 +74,17 @@ def build_dataset(
         folder: where to write; created if missing.
         grasp_sets: one set per pair, at least one grasp each.
         hands, objects: by the names that the grasp sets use.
+        hold_out: hands and objects all of whose grasps are for testing; another choice rebuilds nothing.
         workers: processes (1 = this one). Results do not depend on it.
         progress: told after each shard.
     Raises:
         InputError: no grasps, a pair twice, or a name that cannot be a file name.
-        UnknownNameError: a grasp set's hand or object is not given.
+        UnknownNameError: a grasp set's hand or object is not given, or a name to hold out is neither.
     """
     folder = Path(folder)
     config = config or DatasetConfig()
     _check_pairs(grasp_sets, hands, objects)
+    held_hands, held_objects = sort_held_out([(g.hand, g.object) for g in grasp_sets], hold_out)
     frames = {name: normalisation_of(objects[name].points_O) for name in sorted({g.object for g in grasp_sets})}
     tasks, hand_entries = _tasks(folder, grasp_sets, hands, objects, frames, config)
     object_entries = {name: _write_object(folder, objects[name], frames[name]) for name in frames}
@@ -93,6 +96,8 @@ def build_dataset(
         objects=object_entries,
         hands=hand_entries,
         shards=tuple(_entry(f, config.seed) for f in sorted(files, key=lambda f: (f.object, f.hand))),
+        held_out_hands=held_hands,
+        held_out_objects=held_objects,
     )
     write_manifest(folder, manifest)
     built = sum(f.was_built for f in files)
@@ -196,4 +201,7 @@ def _entry(files: ShardFiles, seed: int) -> ShardEntry:
         samples_file=files.samples_file,
         samples_sha256=files.samples_sha256,
         split=split.entry(),
+        clouds_key=files.clouds_key,
+        clouds_file=files.clouds_file,
+        clouds_sha256=files.clouds_sha256,
     )

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from neuralgrasps.compiled import njit
+from neuralgrasps.dataset.part_rays import part_normal
+from neuralgrasps.geometry.pose_kernels import turned_vector
 from neuralgrasps.hands.hand import PartKind
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many, pose_links
 
@@ -100,21 +103,58 @@ def packed_link_poses(packed: PackedHand, q: np.ndarray) -> np.ndarray:
     return X_HL
 
 
+def packed_part_poses(packed: PackedHand, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """X_OP (Np, 4, 4) of the convex parts of one posed hand: X_OH (4, 4), q (J,)."""
+    X_OH, q = np.array(X_OH, np.float64), np.array(q, np.float64)  # kernels are compiled for writable arrays
+    return (X_OH @ packed_link_poses(packed, q))[packed.part_link] @ np.linalg.inv(packed.part_X_PL)
+
+
+def hand_normals(packed: PackedHand, X_OP: np.ndarray, points_O: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """Outward unit normals (K, 3), object frame, at points (K, 3) on the surfaces of the named parts (K,)."""
+    normals = np.empty_like(points_O)
+    _normals(
+        packed.part_kind, packed.part_size, packed.hull_plane_start, packed.hull_planes, X_OP, points_O, parts, normals
+    )
+    return normals
+
+
+@njit(cache=True, error_model="numpy")
+def _normals(kinds, sizes, plane_start, planes, X_OP, points, parts, normals):  # type: ignore[no-untyped-def]
+    for i in range(points.shape[0]):
+        part = parts[i]
+        X = X_OP[part]
+        x, y, z = points[i, 0] - X[0, 3], points[i, 1] - X[1, 3], points[i, 2] - X[2, 3]
+        px = X[0, 0] * x + X[1, 0] * y + X[2, 0] * z
+        py = X[0, 1] * x + X[1, 1] * y + X[2, 1] * z
+        pz = X[0, 2] * x + X[1, 2] * y + X[2, 2] * z
+        own = planes[plane_start[part] : plane_start[part + 1]]
+        nx, ny, nz = part_normal(kinds[part], sizes[part], own, px, py, pz)
+        normals[i, 0], normals[i, 1], normals[i, 2] = turned_vector(X, nx, ny, nz)
+
+
 def sample_posed_surface(
     packed: PackedHand, X_OH: np.ndarray, q: np.ndarray, count: int, rng: np.random.Generator
 ) -> np.ndarray:
+    """The points of `sample_posed_parts` alone: (count, 3) float64, object frame, metres."""
+    return sample_posed_parts(packed, X_OH, q, count, rng)[0]
+
+
+def sample_posed_parts(
+    packed: PackedHand, X_OH: np.ndarray, q: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
     """Points uniform by area on the surface of the union of a posed hand's parts.
 
     Args:
         packed: the hand; X_OH: (4, 4) hand base in the object frame, metres; q: (J,) joints.
     Returns:
-        (count, 3) float64, object frame, metres. Points inside another part are drawn again, so
-        every point is on the outside of the hand.
+        (count, 3) float64, object frame, metres, and (count,) int64 the part that each lies on. Points inside another
+        part are drawn again, so every point is on the outside of the hand.
     """
     X_OH, q = np.array(X_OH, np.float64), np.array(q, np.float64)  # kernels are compiled for writable arrays
-    X_OP = (X_OH @ packed_link_poses(packed, q))[packed.part_link] @ np.linalg.inv(packed.part_X_PL)
+    X_OP = packed_part_poses(packed, X_OH, q)
     area = part_areas(packed)
     kept: list[np.ndarray] = []
+    owners: list[np.ndarray] = []
     missing = count
     while missing > 0:
         batch = int(1.3 * missing) + 64
@@ -124,7 +164,8 @@ def sample_posed_surface(
         )
         distance = np.empty(len(points))
         hand_distance_many(packed, X_OH, q, points, distance)
-        points = rng.permutation(points[distance > -INSIDE_M])[:missing]
-        kept.append(points)
-        missing -= len(points)
-    return np.concatenate(kept)
+        outside = rng.permutation(np.flatnonzero(distance > -INSIDE_M))[:missing]
+        kept.append(points[outside])
+        owners.append(np.repeat(np.arange(len(shares)), shares)[outside])
+        missing -= len(outside)
+    return np.concatenate(kept), np.concatenate(owners)

@@ -72,10 +72,12 @@ class SdfSamples:
         return len(self.points_O)
 
 
-def scene_rng(seed: int, hand: str, object_name: str, X_OH: np.ndarray, q: np.ndarray) -> np.random.Generator:
-    """The generator of one scene: depends on the seed, the names and the grasp itself, not on its index."""
+def scene_rng(
+    seed: int, hand: str, object_name: str, X_OH: np.ndarray, q: np.ndarray, *, what: str = "sdf"
+) -> np.random.Generator:
+    """The generator of `what` of a scene: depends on the seed, the names and the grasp itself, not on its index."""
     grasp = np.concatenate([np.asarray(X_OH, np.float64).ravel(), np.asarray(q, np.float64).ravel()])
-    return child_rng(seed, "sdf", object_name, hand, hashlib.sha256(grasp.tobytes()).hexdigest())
+    return child_rng(seed, what, object_name, hand, hashlib.sha256(grasp.tobytes()).hexdigest())
 
 
 def ball_points(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -8,13 +8,17 @@ import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Literal, get_args
 
 import msgspec
 
 from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.files import write_whole
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+READABLE_VERSIONS = (1, 2)  # 1 had no clouds and held nothing out
+CloudKind = Literal["none", "exact", "rendered"]
+CLOUD_KINDS: tuple[str, ...] = get_args(CloudKind)
 MANIFEST_NAME = "manifest.json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -32,6 +36,8 @@ class DatasetConfig:
         noise_wide, noise_narrow: standard deviations of the surface noise, half the points each.
         contact_decay: decay length of the contact map.
         store_samples: write the SDF samples; otherwise readers recompute the same arrays on demand.
+        clouds: write point clouds of object and hand: "exact" surface samples, or "rendered" by 128 virtual cameras.
+        cloud_points: points of each cloud.
 
     Source:
         Khargonkar et al. 2022, Sec. 4 and its published code (contact decay in normalised units).
@@ -44,6 +50,8 @@ class DatasetConfig:
     noise_narrow: float = 0.00025
     contact_decay: float = 0.05
     store_samples: bool = True
+    clouds: CloudKind = "none"
+    cloud_points: int = 4096
 
     def __post_init__(self) -> None:
         if self.queries_per_scene < 2 or self.queries_per_scene % 2:
@@ -53,6 +61,10 @@ class DatasetConfig:
         for name in ("noise_wide", "noise_narrow", "contact_decay"):
             if not getattr(self, name) > 0.0:
                 raise InputError(f"{name} is {getattr(self, name)}; expected a positive length in normalised units.")
+        if self.clouds not in CLOUD_KINDS:
+            raise InputError(f"clouds is '{self.clouds}'; expected {' or '.join(CLOUD_KINDS)}.")
+        if self.cloud_points < 1:
+            raise InputError(f"cloud_points is {self.cloud_points}; expected at least 1.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +100,8 @@ class SplitEntry:
 class ShardEntry:
     """The files of one hand and object, relative to the dataset folder.
 
-    `key` is a hash of everything the shard was computed from; a rerun with the same key keeps the files.
+    `key` and `clouds_key` are hashes of everything the samples and clouds were computed from; a rerun with the same
+    keys keeps the files. All of clouds is "" where none are stored.
     """
 
     hand: str
@@ -100,11 +113,19 @@ class ShardEntry:
     samples_file: str
     samples_sha256: str
     split: SplitEntry
+    clouds_key: str = ""
+    clouds_file: str = ""
+    clouds_sha256: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manifest:
-    """Everything needed to read, check and rebuild a dataset."""
+    """Everything needed to read, check and rebuild a dataset.
+
+    Attributes:
+        held_out_hands, held_out_objects: names whose grasps are all for testing; the entries of `shards` keep the
+            split as it is without (`GraspDataset.split` applies both).
+    """
 
     schema_version: int
     library_version: str
@@ -112,6 +133,8 @@ class Manifest:
     objects: Mapping[str, ObjectEntry] = field(default_factory=dict)
     hands: Mapping[str, HandEntry] = field(default_factory=dict)
     shards: tuple[ShardEntry, ...] = ()
+    held_out_hands: tuple[str, ...] = ()
+    held_out_objects: tuple[str, ...] = ()
 
 
 def check_name(kind: str, name: str) -> str:
@@ -150,9 +173,10 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         raw = json.loads(path.read_bytes())
         version = raw.get("schema_version") if isinstance(raw, dict) else None
-        if version != SCHEMA_VERSION:
+        if version not in READABLE_VERSIONS:
+            known = " and ".join(map(str, READABLE_VERSIONS))
             raise DataFormatError(
-                f"'{path}' has schema version {version}; this library reads {SCHEMA_VERSION}. Rebuild the dataset."
+                f"'{path}' has schema version {version}; this library reads {known}. Rebuild the dataset."
             )
         return msgspec.convert(raw, Manifest)
     except (json.JSONDecodeError, UnicodeDecodeError, msgspec.ValidationError) as error:

@@ -1,26 +1,30 @@
-"""One shard: the grasps, contact maps and SDF samples of one hand and object. Torch-free."""
+"""One shard: the grasps, contact maps, SDF samples and point clouds of one hand and object. Torch-free."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import load
 
+from neuralgrasps.dataset.clouds import SceneClouds, scene_clouds
 from neuralgrasps.dataset.samples import Normalisation, SdfSamples, contact_maps, sample_scenes
-from neuralgrasps.dataset.schema import SCHEMA_VERSION, DatasetConfig, sha256_of_file
-from neuralgrasps.errors import DataFormatError
+from neuralgrasps.dataset.schema import DatasetConfig, sha256_of_file
+from neuralgrasps.dataset.stored import content_hash, is_whole
 from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.grasps.grasp_io import save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.tensor_files import tensor_bytes
+
+SAMPLES_LAYOUT, CLOUDS_LAYOUT = 1, 1  # numbers to raise when these files change
+SAMPLE_ARRAYS = tuple(f.name for f in fields(SdfSamples))
+CLOUD_ARRAYS = tuple(f.name for f in fields(SceneClouds))
+CLOUD_SETTINGS = ("clouds", "cloud_points")  # what of the configuration only clouds depend on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,7 +56,7 @@ class ShardTask:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShardFiles:
-    """Names (relative to the dataset folder) and hashes of a finished shard."""
+    """Names (relative to the dataset folder), keys and hashes of a finished shard; no cloud file: all three ""."""
 
     hand: str
     object: str
@@ -62,6 +66,9 @@ class ShardFiles:
     grasps_sha256: str
     samples_file: str
     samples_sha256: str
+    clouds_key: str
+    clouds_file: str
+    clouds_sha256: str
     was_built: bool
 
 
@@ -75,48 +82,65 @@ def fingerprint_of(packed: PackedHand) -> str:
     return digest.hexdigest()
 
 
-def shard_key(task: ShardTask) -> str:
-    """Hash of all that a shard is computed from."""
+def samples_key(task: ShardTask) -> str:
+    """Hash of all that contact maps and SDF samples are computed from."""
+    config = {name: value for name, value in asdict(task.config).items() if name not in CLOUD_SETTINGS}
+    return _key(task, SAMPLES_LAYOUT, config)
+
+
+def clouds_key(task: ShardTask) -> str:
+    """Hash of all that the clouds are computed from."""
+    config = {name: getattr(task.config, name) for name in ("seed", *CLOUD_SETTINGS)}
+    return _key(task, CLOUDS_LAYOUT, config)
+
+
+def _key(task: ShardTask, layout: int, config: dict[str, Any]) -> str:
     digest = hashlib.sha256()
-    config = asdict(task.config)
-    digest.update(json.dumps([SCHEMA_VERSION, task.hand, task.object, config], sort_keys=True).encode())
+    digest.update(json.dumps([layout, task.hand, task.object, config], sort_keys=True).encode())
     digest.update(f"{task.content_hash} {task.fingerprint} {task.hand_index}".encode())
     for array in (task.points_O, task.X_OH, task.q):
         digest.update(np.ascontiguousarray(array, np.float64).tobytes())
     return digest.hexdigest()
 
 
-def shard_paths(hand: str, object_name: str) -> tuple[str, str]:
-    """Grasp file and sample file of a pair, relative to the dataset folder, with '/' on every system."""
-    return f"grasps/{object_name}/{hand}.safetensors", f"samples/{object_name}/{hand}.safetensors"
+def shard_path(kind: str, hand: str, object_name: str) -> str:
+    """A pair's file of `kind` ("grasps", "samples", "clouds"), relative to the dataset folder, with '/' everywhere."""
+    return f"{kind}/{object_name}/{hand}.safetensors"
 
 
 def write_grasps(folder: Path, grasps: GraspSet) -> str:
     """Write the grasp file of a pair and return its sha256."""
-    path = folder / shard_paths(grasps.hand, grasps.object)[0]
+    path = folder / shard_path("grasps", grasps.hand, grasps.object)
     path.parent.mkdir(parents=True, exist_ok=True)
     save_grasps(path, grasps)
     return sha256_of_file(path)
 
 
 def build_shard(task: ShardTask) -> ShardFiles:
-    """Make the sample file of one shard unless the same one is already on disk. The worker function of a build."""
-    grasps_name, samples_name = shard_paths(task.hand, task.object)
-    samples_path = task.folder / samples_name
-    key = shard_key(task)
-    missing = not is_whole(samples_path, key)
-    if missing:
-        write_whole(samples_path, _sample_bytes(task, key))
+    """Make the files of one shard unless the same ones are already on disk. The worker function of a build."""
+    samples, clouds = (shard_path(kind, task.hand, task.object) for kind in ("samples", "clouds"))
+    key, own_clouds_key = samples_key(task), clouds_key(task)
+    samples_path, clouds_path = task.folder / samples, task.folder / clouds
+    without_samples = not is_whole(samples_path, key)
+    if without_samples:
+        write_whole(samples_path, _bytes(task, key, _sample_arrays(task)))
+    wanted = task.config.clouds != "none"
+    without_clouds = wanted and not is_whole(clouds_path, own_clouds_key)
+    if without_clouds:
+        write_whole(clouds_path, _bytes(task, own_clouds_key, _cloud_arrays(task)))
     return ShardFiles(
         hand=task.hand,
         object=task.object,
         scenes=len(task.X_OH),
         key=key,
-        grasps_file=grasps_name,
+        grasps_file=shard_path("grasps", task.hand, task.object),
         grasps_sha256=task.grasps_sha256,
-        samples_file=samples_name,
+        samples_file=samples,
         samples_sha256=sha256_of_file(samples_path),
-        was_built=missing,
+        clouds_key=own_clouds_key if wanted else "",
+        clouds_file=clouds if wanted else "",
+        clouds_sha256=sha256_of_file(clouds_path) if wanted else "",
+        was_built=without_samples or without_clouds,
     )
 
 
@@ -141,63 +165,32 @@ def compute_contact_maps(task: ShardTask) -> np.ndarray:
     return contact_maps(task.packed, task.X_OH, task.q, task.points_O, radius_m=radius)
 
 
-def _sample_bytes(task: ShardTask, key: str) -> bytes:
+def compute_clouds(task: ShardTask) -> SceneClouds:
+    """The point clouds of a shard, from its inputs alone."""
+    return scene_clouds(
+        task.mesh,
+        task.packed,
+        task.X_OH,
+        task.q,
+        hand=task.hand,
+        object_name=task.object,
+        normalisation=task.normalisation,
+        config=task.config,
+    )
+
+
+def _sample_arrays(task: ShardTask) -> dict[str, np.ndarray]:
     arrays = {"contact_map": compute_contact_maps(task)}
     if task.config.store_samples:
         samples = compute_samples(task)
-        arrays |= {
-            "points_O": samples.points_O,
-            "sdf_object": samples.sdf_object,
-            "sdf_hand": samples.sdf_hand,
-            "hand_index": samples.hand_index,
-        }
-    metadata = {"key": key, "content": _content_hash(arrays), "hand": task.hand, "object": task.object}
-    return tensor_bytes(arrays, metadata)
+        arrays |= {name: getattr(samples, name) for name in SAMPLE_ARRAYS}
+    return arrays
 
 
-def _content_hash(arrays: Mapping[str, np.ndarray]) -> str:
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        digest.update(f"{name} {arrays[name].dtype.str} {arrays[name].shape}".encode())
-        digest.update(np.ascontiguousarray(arrays[name]).data)
-    return digest.hexdigest()
+def _cloud_arrays(task: ShardTask) -> dict[str, np.ndarray]:
+    clouds = compute_clouds(task)
+    return {name: getattr(clouds, name) for name in CLOUD_ARRAYS}
 
 
-def is_whole(path: Path, key: str) -> bool:
-    """Whether a sample file is there, was computed from the inputs of this key, and has not changed since."""
-    metadata = metadata_on_disk(path)
-    if metadata.get("key") != key:
-        return False
-    try:
-        return _content_hash(load(path.read_bytes())) == metadata.get("content")
-    except (SafetensorError, OSError):
-        return False
-
-
-def metadata_on_disk(path: Path) -> Mapping[str, str]:
-    """The header notes of a sample file; empty when there is none or it cannot be read."""
-    if not path.is_file():
-        return {}
-    try:
-        with safe_open(path, framework="numpy") as file:
-            return file.metadata() or {}
-    except (SafetensorError, OSError):
-        return {}
-
-
-def read_arrays(path: Path, *, sha256: str | None = None) -> Mapping[str, np.ndarray]:
-    """Arrays of a safetensors file of a dataset.
-
-    Raises:
-        DataFormatError: the file is missing, corrupt, or not the one the manifest names (`sha256`).
-    """
-    fix = "Run the build again: it replaces damaged files and keeps the others."
-    if not path.is_file():
-        raise DataFormatError(f"dataset file '{path}' is missing. {fix}")
-    data = path.read_bytes()
-    if sha256 is not None and hashlib.sha256(data).hexdigest() != sha256:
-        raise DataFormatError(f"dataset file '{path}' is not the one its manifest names (sha256 differs). {fix}")
-    try:
-        return load(data)
-    except SafetensorError as error:
-        raise DataFormatError(f"dataset file '{path}' is corrupt: {error}. {fix}") from error
+def _bytes(task: ShardTask, key: str, arrays: dict[str, np.ndarray]) -> bytes:
+    return tensor_bytes(arrays, {"key": key, "content": content_hash(arrays), "hand": task.hand, "object": task.object})

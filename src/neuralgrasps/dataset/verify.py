@@ -9,9 +9,11 @@ import numpy as np
 
 from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.dataset.schema import ShardEntry, sha256_of_file
-from neuralgrasps.dataset.shards import metadata_on_disk, read_arrays
+from neuralgrasps.dataset.shards import CLOUD_ARRAYS
+from neuralgrasps.dataset.splits import check_held_out
+from neuralgrasps.dataset.stored import CheckedFiles, metadata_on_disk
 from neuralgrasps.errors import NeuralGraspsError
-from neuralgrasps.geometry.mesh import signed_distance
+from neuralgrasps.geometry.mesh import signed_distance, unsigned_distance
 from neuralgrasps.seeds import child_rng
 
 TOLERANCE_M = 2e-6  # float32 rounding of points and distances below a metre
@@ -39,13 +41,13 @@ class VerifyResult:
 
 
 def verify_dataset(dataset: GraspDataset, *, spot_checks: int = 200, seed: int = 0) -> VerifyResult:
-    """Check every file's sha256 and shapes, every split, and some stored distances per shard.
+    """Check every file's sha256 and shapes, every split, what is held out, and some distances and points per shard.
 
     Args:
-        spot_checks: query points per shard whose distance to the object is computed again.
+        spot_checks: query points and object cloud points per shard whose distance to the object is computed again.
         seed: chooses them.
     """
-    problems: list[str] = []
+    problems = _held_out_problems(dataset)
     errors = [0.0]
     files = scenes = 0
     damaged: set[str] = set()
@@ -55,16 +57,31 @@ def verify_dataset(dataset: GraspDataset, *, spot_checks: int = 200, seed: int =
         problems += found
         damaged |= {name} if found else set()
     for entry in dataset.manifest.shards:
-        files += 2
+        files += len(_files_of(entry))
         scenes += entry.scenes
         found = list(_shard_problems(dataset, entry))
-        if not found and entry.object not in damaged:
-            error = _spot_error(dataset, entry, spot_checks, seed)
-            errors.append(error)
-            if error > TOLERANCE_M:
-                found = [f"{entry.samples_file}: stored object distances are off by up to {1e3 * error:.4f} mm"]
+        if not found and entry.object not in damaged and spot_checks > 0:
+            for name, error in _spot_errors(dataset, entry, spot_checks, seed).items():
+                errors.append(error)
+                if not error <= TOLERANCE_M:
+                    found.append(f"{name}: stored object distances are off by up to {1e3 * error:.4f} mm")
         problems += found
     return VerifyResult(problems=tuple(problems), files=files, scenes=scenes, max_error_m=max(errors))
+
+
+def _files_of(entry: ShardEntry) -> list[tuple[str, str]]:
+    """Name and sha256 of each file of a shard."""
+    files = [(entry.grasps_file, entry.grasps_sha256), (entry.samples_file, entry.samples_sha256)]
+    return [*files, (entry.clouds_file, entry.clouds_sha256)] if entry.clouds_file else files
+
+
+def _held_out_problems(dataset: GraspDataset) -> list[str]:
+    manifest = dataset.manifest
+    try:
+        check_held_out(dataset.pairs, hands=manifest.held_out_hands, objects=manifest.held_out_objects)
+    except NeuralGraspsError as error:
+        return [f"manifest.json: {error}"]
+    return []
 
 
 def _file_problems(dataset: GraspDataset, name: str, sha256: str, what: str) -> list[str]:
@@ -78,45 +95,66 @@ def _file_problems(dataset: GraspDataset, name: str, sha256: str, what: str) -> 
 
 def _shard_problems(dataset: GraspDataset, entry: ShardEntry) -> Iterator[str]:
     what = f"{entry.hand} on {entry.object}"
-    damaged = _file_problems(dataset, entry.grasps_file, entry.grasps_sha256, what)
-    damaged += _file_problems(dataset, entry.samples_file, entry.samples_sha256, what)
+    damaged = [line for file in _files_of(entry) for line in _file_problems(dataset, *file, what)]
     if damaged:
         yield from damaged
         return
-    if metadata_on_disk(dataset.folder / entry.samples_file).get("key") != entry.key:
-        yield f"{entry.samples_file}: was made from other inputs than the manifest says"
+    for name, key in ((entry.samples_file, entry.key), (entry.clouds_file, entry.clouds_key)):
+        if name and metadata_on_disk(dataset.folder / name).get("key") != key:
+            yield f"{name}: was made from other inputs than the manifest says"
     split = [*entry.split.train, *entry.split.test, *entry.split.spare]
     if sorted(split) != list(range(entry.scenes)):
         yield f"{what}: the split does not hold each of the {entry.scenes} grasps once"
     try:
         count = len(dataset.grasps(entry.hand, entry.object))
-        arrays = read_arrays(dataset.folder / entry.samples_file)
+        if count != entry.scenes:
+            yield f"{entry.grasps_file}: holds {count} grasps; the manifest says {entry.scenes}"
+        yield from _array_problems(dataset, entry)
     except NeuralGraspsError as error:
         yield str(error)
-        return
-    if count != entry.scenes:
-        yield f"{entry.grasps_file}: holds {count} grasps; the manifest says {entry.scenes}"
-    queries = dataset.manifest.config.queries_per_scene
-    points = dataset.manifest.objects[entry.object].contact_points
-    expected: dict[str, tuple[int, ...]] = {"contact_map": (entry.scenes, points)}
+
+
+def _array_problems(dataset: GraspDataset, entry: ShardEntry) -> Iterator[str]:
+    """Arrays that are missing, of another shape or not finite. Of clouds a scene's whole array may be NaN: not seen."""
+    config, scenes = dataset.manifest.config, entry.scenes
+    expected: dict[str, tuple[int, ...]] = {}
+    expected["contact_map"] = (scenes, dataset.manifest.objects[entry.object].contact_points)
+    if config.store_samples:
+        queries = config.queries_per_scene
+        expected |= {"points_O": (scenes, queries, 3), "hand_index": (scenes,)}
+        expected |= {"sdf_object": (scenes, queries), "sdf_hand": (scenes, queries)}
+    files = [(entry.samples_file, entry.samples_sha256, expected)]
+    if entry.clouds_file:
+        of_clouds: dict[str, tuple[int, ...]] = dict.fromkeys(CLOUD_ARRAYS, (scenes, config.cloud_points, 3))
+        files.append((entry.clouds_file, entry.clouds_sha256, of_clouds))
+    for file, sha256, shapes in files:
+        arrays = CheckedFiles().arrays(dataset.folder / file, sha256)
+        for name, shape in shapes.items():
+            got = arrays[name].shape if name in arrays else None
+            if got != shape:
+                yield f"{file}: {name} has shape {got}; expected {shape}"
+                continue
+            finite = np.isfinite(arrays[name]).reshape(scenes, -1)
+            unseen = ~finite.any(axis=1) if file == entry.clouds_file else np.zeros(scenes, bool)
+            if not finite[~unseen].all():
+                yield f"{file}: {name} is not finite everywhere"
+
+
+def _spot_errors(dataset: GraspDataset, entry: ShardEntry, count: int, seed: int) -> dict[str, float]:
+    """By file, the largest difference (m) between stored and fresh object distances at some points.
+
+    Points of the object's cloud are stored with the distance zero.
+    """
+    rng = child_rng(seed, "verify", entry.object, entry.hand)
+    mesh, errors = dataset.object(entry.object).mesh, {}
     if dataset.manifest.config.store_samples:
-        expected |= {"points_O": (entry.scenes, queries, 3), "hand_index": (entry.scenes,)}
-        expected |= {"sdf_object": (entry.scenes, queries), "sdf_hand": (entry.scenes, queries)}
-    for name, shape in expected.items():
-        got = arrays[name].shape if name in arrays else None
-        if got != shape:
-            yield f"{entry.samples_file}: {name} has shape {got}; expected {shape}"
-        elif not np.isfinite(arrays[name]).all():
-            yield f"{entry.samples_file}: {name} is not finite everywhere"
-
-
-def _spot_error(dataset: GraspDataset, entry: ShardEntry, count: int, seed: int) -> float:
-    """Largest difference (m) between stored and fresh object distances at some query points."""
-    if not dataset.manifest.config.store_samples or count < 1:
-        return 0.0
-    arrays = read_arrays(dataset.folder / entry.samples_file)
-    total = arrays["sdf_object"].size
-    chosen = child_rng(seed, "verify", entry.object, entry.hand).integers(total, size=min(count, total))
-    points = arrays["points_O"].reshape(-1, 3)[chosen].astype(np.float64)
-    fresh = signed_distance(dataset.object(entry.object).mesh, points)
-    return float(np.abs(fresh - arrays["sdf_object"].reshape(-1)[chosen]).max())
+        samples = dataset.samples(entry.hand, entry.object)
+        chosen = rng.integers(samples.sdf_object.size, size=min(count, samples.sdf_object.size))
+        fresh = signed_distance(mesh, samples.points_O.reshape(-1, 3)[chosen].astype(np.float64))
+        errors[entry.samples_file] = float(np.abs(fresh - samples.sdf_object.reshape(-1)[chosen]).max())
+    if entry.clouds_file:
+        points = dataset.clouds(entry.hand, entry.object).object_points_O.reshape(-1, 3)
+        points = points[rng.integers(len(points), size=min(count, len(points)))].astype(np.float64)
+        off = unsigned_distance(mesh, points[np.isfinite(points).all(axis=1)])
+        errors[entry.clouds_file] = float(off.max()) if len(off) else 0.0
+    return errors

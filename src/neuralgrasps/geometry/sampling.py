@@ -208,3 +208,33 @@ def _cover_kernel(points, order, start, low, high, radius):  # type: ignore[no-u
         if best < limit:
             return chosen[: used + 1]
     return chosen
+
+
+def even_subset(points: np.ndarray, count: int) -> IndexArray:
+    """Indices (count,), ascending, of points spread evenly: as far apart as a greedy choice in the given order allows.
+
+    Points no closer than the distance at which there are just over `count` of them, to 1 %; of these the last ones in
+    excess are left out. Points in random order give an unbiased choice.
+
+    Args:
+        points: (N, 3), N >= count.
+    Raises:
+        InputError: `count` is not between 1 and N.
+    """
+    points = np.ascontiguousarray(points, np.float64)
+    if not 1 <= count <= len(points):
+        raise InputError(f"count is {count}; expected 1 to the number of points, {len(points)}.")
+    chosen = np.arange(len(points))
+    low, high = 0.0, math.inf
+    distance = float(np.ptp(points, axis=0).max()) / math.sqrt(count)
+    while len(chosen) > 1.01 * count and high - low > 1e-3 * distance:
+        kept = _thin(points, distance)
+        if len(kept) >= count:
+            low, chosen = distance, kept
+        else:
+            high = distance
+        # on a surface the number goes with distance^-2; where that guess leaves the bracket, halve it
+        distance *= math.sqrt(len(kept) / (1.004 * count))
+        if not low < distance < high:
+            distance = 0.5 * (low + high) if high < math.inf else 2.0 * low
+    return chosen[:count]
