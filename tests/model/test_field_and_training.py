@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,6 +7,7 @@ import torch
 
 from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.errors import DataFormatError, InputError, ShapeError, UnknownNameError
+from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.rotation import matrix_from_6d
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.model.checkpoint import load_run, restored_config, save_run
@@ -175,3 +177,55 @@ def test_bad_training_configs_are_refused() -> None:
         TrainConfig(batch=0)
     with pytest.raises(InputError, match="threads is 0"):
         TrainConfig(threads=0)
+
+
+def test_a_run_keeps_its_grasps_and_compact_maps(small_run, small_world, small_dataset, tmp_path: Path) -> None:
+    sets = [small_dataset.grasps(*pair) for pair in small_dataset.pairs]
+    save_run(tmp_path, small_run, grasps=sets, compact_maps=True)
+    run = load_run(tmp_path, hands=small_world.hands, objects=small_world.objects)
+    assert set(run.grasps) == set(small_dataset.pairs)
+    for pair, grasps in run.grasps.items():
+        assert np.array_equal(grasps.X_OH, small_dataset.grasps(*pair).X_OH)
+    assert np.abs(run.codebook.contact_maps - small_run.codebook.contact_maps).max() <= 0.5 / 255 + 1e-6
+    file = next((tmp_path / "grasps").rglob("*.safetensors"))
+    file.write_bytes(file.read_bytes()[:-1])
+    with pytest.raises(DataFormatError, match=file.name):
+        load_run(tmp_path, hands=small_world.hands, objects=small_world.objects)
+
+
+def test_another_mesh_of_the_same_name_is_refused(small_run, small_world, make_object, tmp_path: Path) -> None:
+    save_run(tmp_path, small_run)
+    brick = small_world.objects["brick"]
+    larger = make_object("brick", Mesh(brick.mesh.vertices * 1.2, brick.mesh.faces), cells=48, points=1024)
+    with pytest.raises(InputError, match="not the one that the run was fitted with"):
+        load_run(tmp_path, hands=small_world.hands, objects={**small_world.objects, "brick": larger})
+
+
+def test_correction_turns_with_the_scene_and_serves_unknown_objects(small_run, make_object) -> None:
+    """Object, hand and code turned together: the corrected palm turns along."""
+    grasps = small_run.codebook[small_run.codebook.where(hand="allegro", object_name="brick")]
+    brick = small_run.field.objects["brick"]
+    S = np.eye(4)
+    S[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    turned_mesh = Mesh(brick.mesh.vertices @ S[:3, :3].T, brick.mesh.faces)
+    codec = small_run.field.object_codecs["brick"]
+    turned_codec = replace(
+        codec, name="turned", points_O=codec.points_O @ S[:3, :3].T, centres_O=codec.centres_O @ S[:3, :3].T,
+        offset_O=S[:3, :3] @ codec.offset_O,
+    )  # fmt: skip
+    other = make_object("turned", turned_mesh, cells=48, points=1024)
+    base = small_run.field
+    field = KinematicField(
+        hands=base.hands, objects={**base.objects, "turned": other}, hand_codecs=base.hand_codecs,
+        object_codecs={**base.object_codecs, "turned": turned_codec}, decoder=base.decoder,
+    )  # fmt: skip
+    codes = torch.as_tensor(grasps.values)
+    known = base.decode(codes, hand="allegro", object_name="brick")
+    moved = field.encode_with_maps(
+        grasps.contact_maps, S @ known.X_OH.numpy(), known.q.numpy(), hand="allegro", object_name="turned"
+    )
+    here = base.decode(codes, hand="allegro", object_name="brick", noise_level=0.2)
+    there = field.decode(torch.as_tensor(moved.values), hand="allegro", object_name="turned", noise_level=0.2)
+    assert float((here.X_OH - known.X_OH).abs().max()) > 1e-4  # it does correct
+    assert np.allclose(there.X_OH.numpy(), S @ here.X_OH.numpy(), atol=1e-4)
+    assert np.allclose(there.q.numpy(), here.q.numpy(), atol=1e-4)

@@ -169,13 +169,17 @@ def dataset_objects(dataset: GraspDataset) -> dict[str, ObjectModel]:
 def run_objects(folder: Path, names: Sequence[str], given: Sequence[str]) -> dict[str, ObjectModel]:
     """The objects of a fitted run: `given` ones, else those of its dataset, else by name.
 
+    Of a given folder, only files with the names of the run's objects are read.
+
     Raises:
         InputError: one cannot be found; the message says how to give it.
     """
     from neuralgrasps.dataset.read import read_dataset
-    from neuralgrasps.objects.zoo import load_object
+    from neuralgrasps.objects.zoo import load_object, object_sources
 
-    found = open_objects(given)
+    sources = object_sources(given) if given else ()
+    wanted = [text for text in sources if text in given or Path(text).stem in names]
+    found = open_objects(wanted)
     home = read_sources(folder).get("dataset", "")
     if home and not set(names) <= set(found):
         try:

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,26 @@ def save_run(
     return folder
 
 
+def shipped_runs() -> tuple[str, ...]:
+    """Names of the runs that come with this library."""
+    folder = resources.files("neuralgrasps") / "assets" / "runs"
+    return tuple(sorted(item.name for item in folder.iterdir() if item.is_dir())) if folder.is_dir() else ()
+
+
+def run_folder(name_or_path: str | Path) -> Path:
+    """The folder of a run: a folder as it is, or by the name of a shipped run (a folder of that name comes first).
+
+    Raises:
+        UnknownNameError: neither.
+    """
+    path = Path(name_or_path)
+    if path.is_dir():
+        return path
+    if str(name_or_path) in shipped_runs():
+        return Path(str(resources.files("neuralgrasps") / "assets" / "runs" / str(name_or_path)))
+    raise unknown_name("run", str(name_or_path), shipped_runs())
+
+
 def _write_grasps(folder: Path, grasps: Sequence[GraspSet], field: KinematicField) -> dict[str, str]:
     """Write a file for each set; sha256 by its name in the folder."""
     written = {}
@@ -145,12 +166,8 @@ def _book_of(run: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> CodeBook:
     maps = arrays["contact_maps"]
     if maps.dtype == np.uint8:
         maps = maps.astype(np.float32) / 255.0
-    return CodeBook(
-        **{name: arrays[name] for name in _BOOK_ARRAYS if name != "contact_maps"},
-        contact_maps=maps,
-        hands=tuple(run["codebook"]["hands"]),
-        objects=tuple(run["codebook"]["objects"]),
-    )
+    stored: dict[str, Any] = {name: arrays[name] for name in _BOOK_ARRAYS} | {"contact_maps": maps}
+    return CodeBook(**stored, hands=tuple(run["codebook"]["hands"]), objects=tuple(run["codebook"]["objects"]))
 
 
 def _grasps_of(folder: Path, run: dict[str, Any]) -> dict[tuple[str, str], GraspSet]:
@@ -172,8 +189,8 @@ def _check_same(codec: ObjectCodec, obj: ObjectModel) -> None:
     if away > SAME_OBJECT_M:
         raise InputError(
             f"object '{obj.name}' is not the one that the run was fitted with: its surface is {1e3 * away:.1f} mm "
-            f"off (95th percentile). It was read from: {obj.provenance.get('source', 'unknown')}. Give the right mesh; the scans "
-            "of YCB come with 'neuralgrasps objects download ycb'."
+            f"off (95th percentile). It was read from: {obj.provenance.get('source', 'unknown')}. Give the right mesh; "
+            "the scans of YCB come with 'neuralgrasps objects download ycb'."
         )
 
 
