@@ -41,16 +41,17 @@ class SceneSamples:
         """The same samples on a device."""
         return SceneSamples(rows=self.rows.to(device), positive=self.positive.to(device), inside=self.inside.to(device))
 
-    def draw(self, scenes: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    def draw(self, scenes: Tensor, count: int, generator: torch.Generator, *, shared: bool = False) -> Tensor:
         """(n, count) int64 points of each of `scenes` (n,): half positive to either shape, half non-positive.
 
         With replacement. Where a scene has no point of one kind, all its points are of the other, and both halves are
-        drawn from them. See `dataset.balance.balanced_draw` for the plain statement.
+        drawn from them. See `dataset.balance.balanced_draw` for the plain statement. With `shared`, all scenes use the
+        same random numbers, so that what is drawn from one does not depend on the others.
 
         Source:
             Khargonkar et al. 2022, published training code.
         """
-        uniform = torch.rand(len(scenes), count, generator=generator, device=self.device)
+        uniform = torch.rand(1 if shared else len(scenes), count, generator=generator, device=self.device)
         points = self.rows.shape[1]
         half = (count + 1) // 2
         outer, inner = self.positive[scenes], self.inside[scenes]

@@ -76,7 +76,7 @@ def train_mlp(
         DataFormatError: the checkpoint is damaged or belongs to another training.
     """
     config = config or MlpTrainConfig()
-    with workers_here(device) as workers, _threads(config.threads), torch.random.fork_rng():
+    with workers_here(device) as workers, torch_threads(config.threads), torch.random.fork_rng():
         trainer = MlpTrainer(scenes, config, workers)
         if resume and folder is not None:
             trainer.restore(folder)
@@ -85,7 +85,8 @@ def train_mlp(
 
 
 @contextmanager
-def _threads(count: int) -> Iterator[None]:
+def torch_threads(count: int) -> Iterator[None]:
+    """Run torch on so many threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -1,0 +1,155 @@
+"""Codes of grasps that an `MlpField` was not trained on: maximum a posteriori over the code, from SDF samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.model.losses import clamped_l1
+from neuralgrasps.model.mlp_data import SceneSamples
+from neuralgrasps.model.mlp_field import MlpDecoder, MlpField
+from neuralgrasps.seeds import child_seed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MlpInferConfig:
+    """How codes are inferred.
+
+    Attributes:
+        seed: of start codes and draws. steps: of Adam.
+        points: of a scene in every step, drawn as in training.
+        rate: of Adam, in units of the codes' spread; a tenth after half the steps ("step") or down as a cosine.
+        prior_weight: of the codes' mean norm.
+        start: "zero": near 0 as published; "nearest": the known code that explains the samples best; "mean".
+        start_std: of the start codes around it.
+    """
+
+    seed: int = 0
+    steps: int = 800
+    points: int = 1_024
+    rate: float = 5e-3
+    schedule: Literal["step", "cosine"] = "step"
+    prior_weight: float = 1e-4
+    start: Literal["zero", "nearest", "mean"] = "zero"
+    start_std: float = 0.01
+    precision: Literal["bf16", "fp32"] = "bf16"
+
+    def __post_init__(self) -> None:
+        if self.steps < 0 or self.points < 1:
+            raise InputError(f"steps {self.steps}, points {self.points}; expected >= 0 and >= 1.")
+        if not self.rate > 0.0 or not self.prior_weight >= 0.0 or not self.start_std >= 0.0:
+            raise InputError(
+                f"rate {self.rate}, prior_weight {self.prior_weight}, start_std {self.start_std}; expected > 0, >= 0, >= 0."
+            )
+        if self.start not in ("zero", "nearest", "mean"):
+            raise InputError(f"start is '{self.start}'; expected 'zero', 'nearest' or 'mean'.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MlpInferResult:
+    """Codes (N, D) float32 and the (N,) float32 SDF loss of each, object plus hand, normalised units."""
+
+    codes: np.ndarray
+    losses: np.ndarray
+
+
+def infer_codes(
+    field: MlpField,
+    samples: SceneSamples,
+    *,
+    known: np.ndarray | None = None,
+    config: MlpInferConfig | None = None,
+) -> MlpInferResult:
+    """Codes of N scenes from their SDF samples; all scenes at once, weights fixed, dropout off, as published 800 steps.
+
+    A scene's result does not depend on the others. `samples` is on the field's device or is copied there.
+
+    Args:
+        known: (K, D) codes of training scenes; needed by `start` "nearest" and "mean".
+    Raises:
+        InputError: `known` is missing; ShapeError: it does not fit the field.
+
+    Source:
+        Khargonkar et al. 2022, Sec. 4 (and DeepSDF, Park et al. 2019). Differs: published inference left dropout on.
+    """
+    config = config or MlpInferConfig()
+    size = field.decoder.config.code_size
+    if known is not None and (known.ndim != 2 or known.shape[1] != size):
+        raise ShapeError(f"known codes have shape {known.shape}; expected (K, {size}).")
+    if known is None and config.start != "zero":
+        raise InputError(f"start '{config.start}' needs known codes; give the training codes or start at 'zero'.")
+    samples = samples.to(field.device)
+    decoder = field.decoder.eval()
+    decoder.fast = config.precision == "bf16"
+    start = _start_codes(field, samples, known, config)
+    codes = start.clone().requires_grad_()
+    optimiser = torch.optim.Adam([codes], lr=config.rate)
+    for step in range(config.steps):
+        optimiser.param_groups[0]["lr"] = config.rate * _factor(step, config)
+        rows = _drawn(samples, config.points, config.seed, step)
+        out = _decoded(decoder, rows[..., :3], codes, config)
+        # sums over scenes: every scene is a problem of its own
+        loss = (2.0 * len(rows) * clamped_l1(out, rows[..., 3:], clamp=field.clamp)) + (
+            config.prior_weight * codes.norm(dim=-1).sum()
+        )
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    with torch.no_grad():
+        losses = _scene_losses(field, samples, codes, config)
+    return MlpInferResult(codes=codes.detach().cpu().numpy(), losses=losses.cpu().numpy())
+
+
+def _factor(step: int, config: MlpInferConfig) -> float:
+    if config.schedule == "step":
+        return 1.0 if 2 * step < config.steps else 0.1
+    return 0.5 * (1.0 + float(np.cos(np.pi * step / config.steps)))
+
+
+def _drawn(samples: SceneSamples, points: int, seed: int, step: int) -> Tensor:
+    generator = torch.Generator(device=samples.device).manual_seed(child_seed(seed, "infer", step))
+    scenes = torch.arange(len(samples), device=samples.device)
+    # the same places of every list in all scenes, so that a scene's draw does not depend on the others
+    places = samples.draw(scenes, points, generator, shared=True)
+    return samples.gather(scenes, places)
+
+
+def _decoded(decoder: MlpDecoder, points: Tensor, codes: Tensor, config: MlpInferConfig) -> Tensor:
+    with torch.autocast(codes.device.type, dtype=torch.bfloat16, enabled=config.precision == "bf16"):
+        return decoder(points, codes)
+
+
+def _start_codes(field: MlpField, samples: SceneSamples, known: np.ndarray | None, config: MlpInferConfig) -> Tensor:
+    size, device = field.decoder.config.code_size, field.device
+    generator = torch.Generator().manual_seed(child_seed(config.seed, "start"))
+    noise = config.start_std * torch.randn(1, size, generator=generator).to(device)
+    if known is None or config.start == "zero":
+        return noise.repeat(len(samples), 1)
+    table = torch.as_tensor(known, dtype=torch.float32, device=device)
+    if config.start == "mean":
+        return table.mean(dim=0) + noise.repeat(len(samples), 1)
+    return table[nearest_known(field, samples, table, config)] + noise
+
+
+def nearest_known(field: MlpField, samples: SceneSamples, known: Tensor, config: MlpInferConfig) -> Tensor:
+    """(N,) int64: of the codes `known` (K, D), the one whose decoded distances fit the samples of each scene best."""
+    rows = _drawn(samples, config.points, config.seed, -1)
+    target = rows[..., 3:].clamp(-field.clamp, field.clamp)
+    best = []
+    with torch.no_grad():
+        for scene in range(len(rows)):
+            points = rows[scene, :, :3].expand(len(known), -1, -1)
+            error = (_decoded(field.decoder, points, known, config) - target[scene]).abs().mean(dim=(1, 2))
+            best.append(int(error.argmin()))
+    return torch.tensor(best, device=known.device)
+
+
+def _scene_losses(field: MlpField, samples: SceneSamples, codes: Tensor, config: MlpInferConfig) -> Tensor:
+    rows = _drawn(samples, config.points, config.seed, config.steps)
+    out = _decoded(field.decoder, rows[..., :3], codes, config)
+    return 2.0 * (out - rows[..., 3:].clamp(-field.clamp, field.clamp)).abs().mean(dim=(1, 2))
