@@ -34,11 +34,12 @@ class FitProblem(NamedTuple):
         points_O: (M, 3) points that should lie on the hand's surface, object frame; width: Huber's, beyond it linear.
         material: (K,) surface points of the hand that should have an observed point near; cover: (K,) their weights.
         seen_O: (S, 3) points that `material` looks for; cover_width: Huber's for them.
-        q_mean: (J,), q_precision: (J, J) square metres per squared joint unit: the Gaussian of postures.
+        q_mean: (J,), q_precision: (J, J) inverse covariance of postures; q_freedom: of their t distribution; q_unit:
+            square metres per unit of twice its negative logarithm.
         probe: (R,) surface points whose distances to the object are looked at, sorted by link.
         touch_mean, touch_weight: (L,) usual least distance of a link's probes to the object, and its weight (0: none).
-        touch_width: Huber's for touching.
-        depth_weight: of each squared depth of a probe beyond `depth_free`; 0 leaves the object out.
+        touch_width: Cauchy's, for touching: some grasps do not touch with a link that usually does.
+        depth_weight: of each squared depth of a probe beyond `depth_free`; 0 leaves the object out; depth_width: Huber's.
         sdf_values, sdf_origin, sdf_inv_spacing: the object's grid, as in `geometry.sdf_grid`.
     """
 
@@ -50,11 +51,14 @@ class FitProblem(NamedTuple):
     cover_width: float
     q_mean: np.ndarray
     q_precision: np.ndarray
+    q_freedom: float
+    q_unit: float
     probe: np.ndarray
     touch_mean: np.ndarray
     touch_weight: np.ndarray
     touch_width: float
     depth_weight: float
+    depth_width: float
     depth_free: float
     sdf_values: np.ndarray
     sdf_origin: np.ndarray
@@ -68,6 +72,13 @@ def _huber(r, width):  # type: ignore[no-untyped-def]
     if a <= width:
         return r * r, 1.0
     return width * (2.0 * a - width), width / a
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _cauchy(r, width):  # type: ignore[no-untyped-def]
+    """(cost, weight) of a residual: about r^2 well below `width`, growing as its logarithm beyond."""
+    u = r * r / (width * width)
+    return width * width * math.log1p(u), 1.0 / (1.0 + u)
 
 
 @njit(cache=True, error_model="numpy")
@@ -210,7 +221,7 @@ def _object_rows(packed, problem, X_OH, X_HL, nearest, G, h):  # type: ignore[no
         ny = X_OH[0, 1] * gx + X_OH[1, 1] * gy + X_OH[2, 1] * gz
         nz = X_OH[0, 2] * gx + X_OH[1, 2] * gy + X_OH[2, 2] * gz
         if deep < 0.0:
-            cost, w = _huber(deep, problem.touch_width)
+            cost, w = _huber(deep, problem.depth_width)
             total += problem.depth_weight * cost
             _add_row(G[link], h[link], nx, ny, nz, x, y, z, deep, problem.depth_weight * w)
         if d < nearest[link, 0]:
@@ -221,7 +232,7 @@ def _object_rows(packed, problem, X_OH, X_HL, nearest, G, h):  # type: ignore[no
         if weight > 0.0 and nearest[link, 0] < math.inf:
             near = nearest[link]
             r = near[0] - problem.touch_mean[link]
-            cost, w = _huber(r, problem.touch_width)
+            cost, w = _cauchy(r, problem.touch_width)
             total += weight * cost
             _add_row(G[link], h[link], near[1], near[2], near[3], near[4], near[5], near[6], r, weight * w)
     return total
@@ -318,6 +329,25 @@ def _new_work(packed, points):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def _posture_rows(problem, q, A, b):  # type: ignore[no-untyped-def]
+    """Twice the negative logarithm of a multivariate t distribution: a few known grasps do not bound the others."""
+    joints, squared = q.shape[0], 0.0
+    for i in range(joints):
+        pull = 0.0
+        for j in range(joints):
+            pull += problem.q_precision[i, j] * (q[j] - problem.q_mean[j])
+        squared += pull * (q[i] - problem.q_mean[i])
+    whole = problem.q_freedom + joints
+    w = problem.q_unit * whole / (problem.q_freedom + squared)
+    for i in range(joints):
+        for j in range(joints):
+            b[6 + i] += w * problem.q_precision[i, j] * (q[j] - problem.q_mean[j])
+            if j <= i:
+                A[6 + i, 6 + j] += w * problem.q_precision[i, j]
+    return problem.q_unit * whole * math.log1p(squared / problem.q_freedom)
+
+
+@njit(cache=True, error_model="numpy")
 def _evaluate(packed, problem, X_OH, q, work, A, b):  # type: ignore[no-untyped-def]
     """Cost at a pose and joints, and the Gauss-Newton matrix (lower triangle) and gradient of half of it."""
     pose_links(packed, q, work.X_HL)
@@ -332,15 +362,7 @@ def _evaluate(packed, problem, X_OH, q, work, A, b):  # type: ignore[no-untyped-
         total += _object_rows(packed, problem, X_OH, work.X_HL, work.nearest, work.G, work.h)
     link_twists(packed, work.X_HL, work.twists)
     _assemble(work.G, work.h, work.twists, A, b)
-    for i in range(q.shape[0]):
-        pull = 0.0
-        for j in range(q.shape[0]):
-            pull += problem.q_precision[i, j] * (q[j] - problem.q_mean[j])
-            if j <= i:
-                A[6 + i, 6 + j] += problem.q_precision[i, j]
-        b[6 + i] += pull
-        total += pull * (q[i] - problem.q_mean[i])
-    return total
+    return total + _posture_rows(problem, q, A, b)
 
 
 @njit(cache=True, error_model="numpy")

@@ -21,6 +21,9 @@ from neuralgrasps.model.fit_kernels import FitProblem, fit_starts, score_starts
 from neuralgrasps.model.fit_prior import GraspPrior, posed_points
 
 MIN_NOISE_M = 0.0003  # models and sensors are no better; keeps the priors from vanishing on clean points
+POSTURE_FREEDOM = 5.0
+TOUCH_WIDTH_M = 0.0015
+EFFECTIVE_POINTS = 100.0  # so many independent points is a cloud worth against the priors
 EVEN_POINTS = 192  # well spread points kept for the first stages
 SAME_HAND_M = 0.004  # mean distance of matching points below which two fits are the same
 
@@ -60,7 +63,7 @@ class InferConfig:
     vary_rad: float = 0.3
     vary_m: float = 0.01
     vary_joint: float = 0.1
-    good: float = 1.3
+    good: float = 1.4
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -136,7 +139,7 @@ class CloudSearch:
         self.noise_m = max(config.noise_m if config.noise_m is not None else 0.0015, MIN_NOISE_M)
 
     def problem(self, points_O: np.ndarray, width: float, coverage: float) -> FitProblem:
-        unit = self.config.prior * self.noise_m**2 / 100.0
+        unit = self.config.prior * self.noise_m**2 / EFFECTIVE_POINTS
         return FitProblem(
             points_O=points_O,
             width=max(width, 3.0 * self.noise_m),
@@ -145,12 +148,15 @@ class CloudSearch:
             seen_O=self.even,
             cover_width=max(width, 3.0 * self.noise_m),
             q_mean=self.prior.q_mean,
-            q_precision=unit * self.prior.q_precision,
+            q_precision=self.prior.q_precision,
+            q_freedom=POSTURE_FREEDOM,
+            q_unit=unit,
             probe=self.prior.probe,
             touch_mean=self.prior.touch_mean,
             touch_weight=unit / self.prior.touch_sd**2,
-            touch_width=0.003,
+            touch_width=TOUCH_WIDTH_M,
             depth_weight=unit / 0.0005**2,
+            depth_width=0.003,
             depth_free=0.001,
             sdf_values=self.sdf.values,
             sdf_origin=self.sdf.origin,
