@@ -144,6 +144,6 @@ def replay_dump(path: str | Path) -> Tensor:
 def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     try:
         with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}
+            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118 - no dict
     except (SafetensorError, OSError) as error:
         raise DataFormatError(f"'{path}' is damaged: {error}. Delete it or give another folder.") from error

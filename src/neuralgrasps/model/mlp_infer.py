@@ -44,7 +44,8 @@ class MlpInferConfig:
             raise InputError(f"steps {self.steps}, points {self.points}; expected >= 0 and >= 1.")
         if not self.rate > 0.0 or not self.prior_weight >= 0.0 or not self.start_std >= 0.0:
             raise InputError(
-                f"rate {self.rate}, prior_weight {self.prior_weight}, start_std {self.start_std}; expected > 0, >= 0, >= 0."
+                f"rate {self.rate}, prior_weight {self.prior_weight}, start_std {self.start_std}; "
+                "expected > 0, >= 0, >= 0."
             )
         if self.start not in ("zero", "nearest", "mean"):
             raise InputError(f"start is '{self.start}'; expected 'zero', 'nearest' or 'mean'.")

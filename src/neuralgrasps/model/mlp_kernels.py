@@ -1,7 +1,7 @@
 """Batch norm, ReLU and dropout of bf16 activations in one pass each way, on processors.
 
-Arrays of bf16 are uint16 views (N, C), rows contiguous; sums and arithmetic are float32. A dropout mask is never stored:
-an output of exactly zero was dropped or cut off by the ReLU, and passes no gradient either way.
+Arrays of bf16 are uint16 views (N, C), rows contiguous; sums and arithmetic are float32. A dropout mask is never
+stored: an output of exactly zero was dropped or cut off by the ReLU, and passes no gradient either way.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def first_layer(points, code_part, per_scene, weight, start, stop, y):  # type: 
 
 @njit(cache=True, nogil=True)
 def first_layer_gradient(g, points, per_scene, start, stop, d_code, d_weight):  # type: ignore[no-untyped-def]
-    """Fill d_code[s] (S, C) with the sums of g over the rows of scenes [start, stop); add g points to d_weight (3, C)."""
+    """Fill d_code (S, C) for scenes [start, stop) with sums of g over their rows; add g points to d_weight (3, C)."""
     columns = g.shape[1]
     w0, w1, w2 = (np.zeros(columns, np.float32), np.zeros(columns, np.float32), np.zeros(columns, np.float32))
     for s in range(start, stop):

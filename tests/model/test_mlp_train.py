@@ -1,0 +1,320 @@
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from neuralgrasps.dataset.balance import balanced_draw, sign_lists
+from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.model.losses import variable_margin_triplet
+from neuralgrasps.model.mlp_bench import made_up_scenes
+from neuralgrasps.model.mlp_checkpoint import STATE_FILE, config_of, replay_dump
+from neuralgrasps.model.mlp_data import ObjectScenes, SceneSamples, object_scenes, scene_samples
+from neuralgrasps.model.mlp_field import MlpConfig
+from neuralgrasps.model.mlp_infer import MlpInferConfig, infer_codes
+from neuralgrasps.model.mlp_loss import triplet_of_distances
+from neuralgrasps.model.mlp_parallel import Workers, workers_here
+from neuralgrasps.model.mlp_schedule import PAPER, PAPER_FAST, PRESETS, MlpTrainConfig
+from neuralgrasps.model.mlp_train import DivergedError, MlpTrainer, train_mlp
+
+SMALL = MlpTrainConfig(
+    epochs=8,
+    points_per_scene=64,
+    step_scenes=0,
+    step_points=64,
+    net_rate=5e-3,
+    code_rate=1e-2,
+    code_std=0.1,
+    threads=1,
+    decoder=MlpConfig(layers=3, width=32, code_size=8, dropout=0.1),
+)
+HERE = Workers(rank=0, count=1, device=torch.device("cpu"))
+
+
+@pytest.fixture(scope="module")
+def scenes() -> ObjectScenes:
+    return made_up_scenes(6, 400)
+
+
+def permuted(scenes: ObjectScenes, order: np.ndarray) -> ObjectScenes:
+    index = torch.as_tensor(order)
+    samples = scenes.samples
+    return replace(
+        scenes,
+        samples=SceneSamples(rows=samples.rows[index], positive=samples.positive[index], inside=samples.inside[index]),
+        contact_maps=scenes.contact_maps[order],
+        hand_index=scenes.hand_index[order],
+        grasp_index=scenes.grasp_index[order],
+    )
+
+
+def test_rows_are_the_samples_in_normalised_units(small_dataset) -> None:
+    scenes = object_scenes(small_dataset, "brick")
+    stored = small_dataset.samples("allegro", "brick", [small_dataset.split("allegro", "brick").train[1]])
+    frame = small_dataset.object("brick").normalisation
+    rows = scenes.samples.rows[1].numpy()
+    assert (
+        len(scenes) == 20 and scenes.hands == ("allegro", "fetch") and scenes.hand_index.tolist() == [0] * 10 + [1] * 10
+    )
+    assert scenes.grasp_index[:10].tolist() == small_dataset.split("allegro", "brick").train.tolist()
+    metres = np.concatenate([frame.to_object(rows[:, :3]), rows[:, 3:] * frame.scale_m], axis=1)
+    truth = np.concatenate([stored.points_O[0], stored.sdf_object[0][:, None], stored.sdf_hand[0][:, None]], axis=1)
+    metres, truth = (a[np.lexsort(a.round(6).T)] for a in (metres, truth))
+    assert np.allclose(metres, truth, atol=1e-6)
+
+
+def test_draw_is_balanced_and_from_the_published_lists(small_dataset) -> None:
+    stored = small_dataset.samples("fetch", "ball")
+    stored.sdf_hand[0] = np.abs(stored.sdf_hand[0]) + 0.01  # one scene with nothing inside
+    stored.sdf_object[0] = np.abs(stored.sdf_object[0]) + 0.01
+    samples = scene_samples([stored], small_dataset.object("ball").normalisation)
+    lists = sign_lists(stored.sdf_object, stored.sdf_hand)
+    assert samples.positive.tolist() == lists.positive_count.tolist()
+    assert samples.inside.tolist() == lists.non_positive_count.tolist()
+    scenes = torch.arange(len(samples))
+    places = samples.draw(scenes, 2001, torch.Generator().manual_seed(0))
+    sdf = samples.gather(scenes, places)[..., 3:].numpy()
+    assert (sdf[:, :1001] > 0).any(axis=2).all()
+    assert (sdf[1:, 1001:] <= 0).any(axis=2).all() and (sdf[0] > 0).all()
+    plain = balanced_draw(lists, np.random.default_rng(0).random((len(samples), 2001)))
+    for i in range(1, len(samples)):  # the same points can be drawn, equally often
+        kinds = [
+            np.array([(o > 0) * 2 + (h > 0) for o, h in pair]).mean()
+            for pair in (sdf[i, 1001:], np.stack([stored.sdf_object[i], stored.sdf_hand[i]], 1)[plain[i, 1001:]])
+        ]
+        assert kinds[0] == pytest.approx(kinds[1], abs=0.15)
+        assert len(np.unique(places[i, 1001:])) == pytest.approx(len(np.unique(plain[i, 1001:])), rel=0.15)
+    shared = samples.draw(scenes, 100, torch.Generator().manual_seed(1), shared=True)
+    alone = samples.draw(scenes[2:3], 100, torch.Generator().manual_seed(1), shared=True)
+    assert torch.equal(shared[2:3], alone)
+
+
+def test_triplet_of_distances_is_the_triplet_of_maps() -> None:
+    generator = torch.Generator().manual_seed(0)
+    codes, maps = torch.randn(7, 4, generator=generator), torch.rand(7, 30, generator=generator)
+    index = [torch.randint(7, (50,), generator=generator) for _ in range(3)]
+    distances = torch.cdist(maps, maps)
+    ours = triplet_of_distances(codes, *index, distances[index[0], index[1]], distances[index[0], index[2]])
+    assert float(ours) == pytest.approx(float(variable_margin_triplet(codes, maps, *index)), rel=1e-4)
+
+
+def test_triplet_by_hand_on_three_maps() -> None:
+    # maps at 0, 3 and 5 on a line; codes at 0, 4 and 1: |z0 z1| - |z0 z2| + (5 - 3) = 4 - 1 + 2
+    codes = torch.tensor([[0.0], [4.0], [1.0]])
+    one, two, zero = torch.tensor([1]), torch.tensor([2]), torch.tensor([0])
+    for first, second, a, b in ((one, two, 3.0, 5.0), (two, one, 5.0, 3.0)):
+        loss = triplet_of_distances(codes, zero, first, second, torch.tensor([a]), torch.tensor([b]))
+        assert float(loss) == pytest.approx(5.0)
+    fitting = torch.tensor([[0.0], [1.0], [4.0]])  # 1 - 4 + 2 < 0
+    assert float(triplet_of_distances(fitting, zero, one, two, torch.tensor([3.0]), torch.tensor([5.0]))) == 0.0
+
+
+def test_training_lowers_the_loss_and_repeats(scenes: ObjectScenes) -> None:
+    config = replace(SMALL, epochs=120)
+    a, b = (train_mlp(scenes, config=config, device="cpu") for _ in range(2))
+    assert np.array_equal(a.losses, b.losses) and np.array_equal(a.codes, b.codes)
+    assert a.losses[-10:, 1].mean() < 0.6 * a.losses[:10, 1].mean()
+    assert a.finished and a.samples == 120 * 6 * 64
+
+
+def test_codes_permute_with_scenes(scenes: ObjectScenes) -> None:
+    # full batch: all points of all scenes, all triplets, no noise; start codes follow their scenes
+    config = replace(SMALL, decoder=replace(SMALL.decoder, dropout=0.0), precision="fp32")
+    order = np.array([3, 0, 5, 1, 4, 2])
+    codes = []
+    for given in (scenes, permuted(scenes, order)):
+        trainer = MlpTrainer(given, config, HERE)
+        base = trainer.batch(0)
+        everyone = torch.arange(6)
+        a, b, c = (t.flatten() for t in torch.meshgrid(everyone, everyone, everyone, indexing="ij"))
+        distances = trainer.map_distances
+        batch = replace(
+            base, scenes=everyone, rows=given.samples.rows, anchor=a, first=b, second=c,
+            map_first=distances[a, b], map_second=distances[a, c],
+        )  # fmt: skip
+        trainer.batch = lambda step, batch=batch: batch  # type: ignore[method-assign]
+        if given is not scenes:
+            with torch.no_grad():
+                trainer.model.codes.copy_(trainer.model.codes[torch.as_tensor(order)])
+        for _ in range(12):
+            trainer.one_step()
+        codes.append(trainer.model.codes.detach())
+    assert torch.allclose(codes[0][torch.as_tensor(order)], codes[1], atol=1e-4)
+    assert not torch.allclose(codes[0], codes[1], atol=1e-2)
+
+
+@pytest.mark.parametrize("precision", ["bf16", "fp32"])
+def test_killed_training_resumes_to_the_same_weights(scenes: ObjectScenes, tmp_path: Path, precision) -> None:
+    config = replace(SMALL, precision=precision, code_noise=0.05)
+    whole = train_mlp(scenes, config=config, device="cpu")
+    calls = []
+
+    def killed(done: int, total: int, loss: float) -> None:
+        calls.append(done)
+        if len(calls) in (3, 6):
+            raise KeyboardInterrupt
+
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            train_mlp(
+                scenes,
+                config=config,
+                folder=tmp_path,
+                checkpoint_minutes=0.0,
+                resume=True,
+                device="cpu",
+                progress=killed,
+            )
+    again = train_mlp(scenes, config=config, folder=tmp_path, resume=True, device="cpu")
+    assert calls == [1, 2, 3, 3, 4, 5]  # the step after the last checkpoint was done again
+    assert np.array_equal(again.codes, whole.codes) and np.array_equal(again.losses, whole.losses)
+    for a, b in zip(again.field.decoder.state_dict().values(), whole.field.decoder.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_a_checkpoint_of_another_training_is_refused(scenes: ObjectScenes, tmp_path: Path) -> None:
+    train_mlp(scenes, config=replace(SMALL, epochs=1), folder=tmp_path, device="cpu")
+    with pytest.raises(DataFormatError, match="another configuration"):
+        train_mlp(scenes, config=replace(SMALL, epochs=2), folder=tmp_path, resume=True, device="cpu")
+    other = permuted(scenes, np.array([1, 0, 2, 3, 4, 5]))
+    with pytest.raises(DataFormatError, match="another scenes"):
+        train_mlp(other, config=replace(SMALL, epochs=1), folder=tmp_path, resume=True, device="cpu")
+    data = (tmp_path / STATE_FILE).read_bytes()
+    (tmp_path / STATE_FILE).write_bytes(data[: len(data) // 2])
+    with pytest.raises(DataFormatError, match="damaged"):
+        train_mlp(scenes, config=replace(SMALL, epochs=1), folder=tmp_path, resume=True, device="cpu")
+
+
+def test_nan_stops_with_a_dump_that_replays(scenes: ObjectScenes, tmp_path: Path) -> None:
+    trainer = MlpTrainer(scenes, SMALL, HERE)
+    for _ in range(3):
+        trainer.one_step(tmp_path)
+    with torch.no_grad():
+        trainer.model.codes[2, 1] = float("nan")
+    before = trainer.model.decoder.last.weight.clone()
+    with pytest.raises(DivergedError, match="loss of step 3 is not finite") as raised:
+        trainer.one_step(tmp_path)
+    dump = next(tmp_path.glob("bad_step_*.safetensors"))
+    assert str(dump) in str(raised.value) and torch.equal(before, trainer.model.decoder.last.weight)
+    assert not np.isfinite(float(replay_dump(dump)[0]))
+    with pytest.raises(DataFormatError, match="not a dump"):
+        trainer.save(tmp_path)
+        replay_dump(tmp_path / STATE_FILE)
+
+
+def test_a_dump_holds_all_that_the_loss_depends_on(scenes: ObjectScenes, tmp_path: Path) -> None:
+    from neuralgrasps.model.mlp_checkpoint import save_dump  # noqa: PLC0415
+
+    for precision in ("bf16", "fp32"):
+        trainer = MlpTrainer(scenes, replace(SMALL, precision=precision, code_noise=0.1), HERE)
+        for _ in range(2):
+            trainer.one_step()
+        batch = trainer.batch(2)
+        path = save_dump(tmp_path, trainer.model, batch, step=2, rank=0, prior_weight=0.3)
+        loss = trainer.model.train()(batch, 2, 0, 0.3).stacked()
+        torch.manual_seed(99)
+        assert torch.equal(replay_dump(path), loss)
+
+
+def test_outputs_that_start_outside_the_clamp_still_learn(scenes: ObjectScenes) -> None:
+    config = replace(SMALL, epochs=150, decoder=replace(SMALL.decoder, dropout=0.0))
+    trainer = MlpTrainer(scenes, config, HERE)
+    start = trainer.model(trainer.batch(0), 0, 0, 0.0)
+    assert float(start.sdf) < 0.12  # the library's own start is inside
+    with torch.no_grad():
+        trainer.model.decoder.last.bias.fill_(0.6)
+    first = float(trainer.one_step().sdf.detach())
+    for _ in range(149):
+        last = float(trainer.one_step().sdf.detach())
+    assert first > 0.9 and last < 0.1 * first
+
+
+def test_schedules() -> None:
+    assert PAPER.samples(250) == pytest.approx(1e10, rel=0.01)
+    assert PAPER_FAST.samples(250) <= PAPER.samples(250) / 10
+    per_epoch = PAPER.steps_per_epoch(250)
+    assert [PAPER.rate_factor(e * per_epoch, 250) for e in (0, 499, 500, 1999)] == [1.0, 1.0, 0.5, 0.125]
+    assert PAPER.prior_factor(50 * per_epoch, 250) == pytest.approx(5e-5)
+    assert PAPER.prior_factor(700 * per_epoch, 250) == pytest.approx(1e-4)
+    total = PAPER_FAST.epochs * PAPER_FAST.steps_per_epoch(250)
+    factors = [PAPER_FAST.rate_factor(s, 250) for s in range(0, total, max(1, total // 400))]
+    assert max(factors) == pytest.approx(1.0, abs=0.02) and factors[0] < 0.1 and factors[-1] < 0.01
+    assert set(PRESETS) == {"paper", "paper-fast"}
+    from dataclasses import asdict  # noqa: PLC0415
+
+    for config in PRESETS.values():
+        assert config_of(json.loads(json.dumps(asdict(config)))) == config
+    with pytest.raises(InputError, match="epochs is 0"):
+        MlpTrainConfig(epochs=0)
+
+
+def test_inference_finds_codes_and_scenes_do_not_matter_to_each_other(scenes: ObjectScenes) -> None:
+    config = replace(SMALL, epochs=300, decoder=replace(SMALL.decoder, dropout=0.0))
+    result = train_mlp(scenes, config=config, device="cpu")
+    how = MlpInferConfig(steps=60, points=128, rate=0.02, precision="fp32")
+    start = infer_codes(result.field, scenes.samples, config=replace(how, steps=0))
+    found = infer_codes(result.field, scenes.samples, config=how)
+    assert found.losses.mean() < 0.8 * start.losses.mean()
+    one = permuted(scenes, np.array([4]))
+    alone = infer_codes(result.field, one.samples, config=how)
+    assert np.allclose(alone.codes[0], found.codes[4], atol=1e-4)
+    nearest = infer_codes(
+        result.field, scenes.samples, known=result.codes, config=replace(how, steps=0, start="nearest")
+    )
+    assert (np.abs(nearest.codes[:, None] - result.codes).sum(axis=2).argmin(axis=1) == np.arange(6)).mean() > 0.6
+    with pytest.raises(InputError, match="needs known codes"):
+        infer_codes(result.field, scenes.samples, config=replace(how, start="nearest"))
+
+
+WORKER = """
+import json, sys, torch
+from dataclasses import replace
+from neuralgrasps.model.mlp_bench import made_up_scenes
+from neuralgrasps.model.mlp_parallel import workers_here
+from neuralgrasps.model.mlp_train import MlpTrainer
+from neuralgrasps.model.mlp_checkpoint import config_of
+config = config_of(json.loads(sys.argv[1]))
+torch.set_num_threads(1)
+with workers_here("cpu") as workers:
+    trainer = MlpTrainer(made_up_scenes(6, 400), config, workers)
+    batches = [float(trainer.batch(k).rows.sum()) for k in range(3)]
+    for _ in range(4):
+        trainer.one_step()
+    weights = [float(p.detach().double().sum()) for p in trainer.model.parameters()]
+    print(json.dumps({"rank": workers.rank, "count": workers.count, "weights": weights, "batches": batches}), flush=True)
+"""
+
+
+def test_two_processes_train_one_model_on_different_batches() -> None:
+    from dataclasses import asdict  # noqa: PLC0415
+
+    environment = os.environ | {
+        "WORLD_SIZE": "2",
+        "MASTER_ADDR": "127.0.0.1",
+        "MASTER_PORT": "29577",
+        "OMP_NUM_THREADS": "1",
+    }
+    command = [sys.executable, "-c", WORKER, json.dumps(asdict(SMALL))]
+    processes = [
+        subprocess.Popen(command, env=environment | {"RANK": str(k), "LOCAL_RANK": str(k)}, stdout=subprocess.PIPE)
+        for k in range(2)
+    ]
+    try:
+        told = [json.loads(p.communicate(timeout=100)[0].splitlines()[-1]) for p in processes]
+    finally:
+        for process in processes:
+            process.kill()
+    a, b = sorted(told, key=lambda t: t["rank"])
+    assert (a["rank"], b["rank"], a["count"]) == (0, 1, 2)
+    assert np.isfinite(a["weights"]).all() and a["weights"] == b["weights"]
+    assert all(x != y for x, y in zip(a["batches"], b["batches"], strict=True))
+    with workers_here("cpu") as alone:
+        trainer = MlpTrainer(made_up_scenes(6, 400), SMALL, alone)
+    for _ in range(4):
+        trainer.one_step()
+    assert a["weights"] != [float(p.detach().double().sum()) for p in trainer.model.parameters()]
