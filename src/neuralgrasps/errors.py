@@ -52,6 +52,10 @@ class DownloadError(NeuralGraspsError, OSError):
     """A download could not be started, finished or verified."""
 
 
+class DivergedError(NeuralGraspsError, ArithmeticError):
+    """The loss of a training is not a number any more."""
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> UnknownNameError:
     """An error for a name that is not in `known`, with the nearest known name as a hint."""
     names = sorted(known)

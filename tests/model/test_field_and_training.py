@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from neuralgrasps.dataset.samples import hand_distances
-from neuralgrasps.errors import DataFormatError, InputError, ShapeError, UnknownNameError
+from neuralgrasps.errors import DataFormatError, DivergedError, InputError, ShapeError, UnknownNameError
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.rotation import matrix_from_6d
 from neuralgrasps.hands.zoo import load_hand
@@ -15,7 +15,8 @@ from neuralgrasps.model.codes import CELLS
 from neuralgrasps.model.field import GraspField
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.losses import HandPoints, clamped_l1, point_distances, variable_margin_triplet
-from neuralgrasps.model.train import TrainConfig, add_noise, train
+from neuralgrasps.model.optimise import add_noise, one_cycle
+from neuralgrasps.model.train import TrainConfig, train
 from neuralgrasps.model.train_data import Jitter
 
 
@@ -229,3 +230,58 @@ def test_correction_turns_with_the_scene_and_serves_unknown_objects(small_run, m
     assert float((here.X_OH - known.X_OH).abs().max()) > 1e-4  # it does correct
     assert np.allclose(there.X_OH.numpy(), S @ here.X_OH.numpy(), atol=1e-4)
     assert np.allclose(there.q.numpy(), here.q.numpy(), atol=1e-4)
+
+
+def test_killed_training_goes_on_to_the_same_weights(
+    small_world, small_dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = TrainConfig(steps=12, batch=8, jitter=Jitter(copies=1), seed=3)
+    models = {"hands": small_world.hands, "objects": small_world.objects}
+    monkeypatch.setattr("neuralgrasps.model.optimise.CHECKPOINT_S", -1.0)  # after every step
+
+    def killed(done: int, _: int, __: float) -> None:
+        if done == 7:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(small_dataset, **models, config=config, folder=tmp_path, progress=killed)
+    assert (tmp_path / "training.safetensors").is_file()
+    seen = []
+    resumed = train(small_dataset, **models, config=config, folder=tmp_path, progress=lambda d, *_: seen.append(d))
+    whole = train(small_dataset, **models, config=config)
+    assert seen[0] == 8 and np.array_equal(resumed.losses, whole.losses)
+    for a, b in zip(resumed.field.decoder.parameters(), whole.field.decoder.parameters(), strict=True):
+        assert torch.equal(a, b)
+    assert not (tmp_path / "training.safetensors").exists()
+
+
+def test_a_checkpoint_of_another_training_is_not_gone_on_from(
+    small_world, small_dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    models = {"hands": small_world.hands, "objects": small_world.objects}
+    monkeypatch.setattr("neuralgrasps.model.optimise.CHECKPOINT_S", -1.0)
+
+    def killed(done: int, _: int, __: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        first = TrainConfig(steps=3, batch=8, jitter=Jitter(copies=1))
+        train(small_dataset, **models, config=first, folder=tmp_path, progress=killed)
+    seen = []
+    other = TrainConfig(steps=3, batch=8, jitter=Jitter(copies=1), seed=1)
+    train(small_dataset, **models, config=other, folder=tmp_path, progress=lambda d, *_: seen.append(d))
+    assert seen[0] == 1
+
+
+def test_a_loss_that_is_no_number_stops_training(small_world, small_dataset) -> None:
+    config = TrainConfig(steps=40, batch=8, jitter=Jitter(copies=0), learning_rate=1e30)
+    with pytest.raises(DivergedError, match="lower the learning rate"):
+        train(small_dataset, hands=small_world.hands, objects=small_world.objects, config=config)
+
+
+def test_the_learning_rate_rises_and_falls() -> None:
+    rates = [one_cycle(k / 100) for k in range(101)]
+    assert max(rates) == pytest.approx(1.0) and rates.index(max(rates)) == 10
+    assert rates[0] < 0.05 and rates[100] == pytest.approx(0.0)
+    assert np.all(np.diff(rates[:11]) > 0)
+    assert np.all(np.diff(rates[10:]) < 0)

@@ -12,7 +12,7 @@ from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.losses import HandPoints, point_distances
-from neuralgrasps.model.train import TrainConfig, add_noise
+from neuralgrasps.model.optimise import TrainConfig, add_noise
 from neuralgrasps.seeds import child_seed
 
 

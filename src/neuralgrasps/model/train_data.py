@@ -123,7 +123,7 @@ def sampled_blocks(
         _distances(packed, X[part], q[part], points_O, distance[part])
 
     thread_map(fill, blocks(len(X), _CHUNKS), threads=threads)
-    near = np.exp(-np.maximum(distance, 0.0) / obj.radius_m).reshape(len(X), CELLS, -1).mean(axis=2)
+    near = np.exp(-np.maximum(distance, 0.0) / obj.radius_m).reshape(len(X), CELLS, POINTS_PER_CELL).mean(axis=2)
     return (near * obj.weights).astype(np.float32)
 
 
