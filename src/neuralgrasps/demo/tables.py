@@ -95,8 +95,8 @@ def inference_table(data: DemoData) -> Table:
         columns=("object", "grasps", "known mm", "all points mm", "one view mm", "one view p95 mm", *gaps),
         rows=tuple(rows),
         meaning="Known: pose and joints are given and the code keeps them, so the error is rounding and the gap is "
-        "what 96 cells lose of 2,048 contact points. All points: 1,024 unlabelled points all over the hand, no noise. One "
-        "view: the points one depth camera sees, behind the object or the hand itself none, 1 mm noise. Hand and "
+        "what 96 cells lose of 2,048 contact points. All points: 1,024 unlabelled points all over the hand, no noise. "
+        "One view: the points one depth camera sees, behind the object or the hand itself none, 1 mm noise. Hand and "
         "object pose are known.",
         how="Mean two-sided distance between the true and the found hand's surfaces; p95 of the worst hand. The gap "
         "is the contact similarity lost against the best neighbour in the gallery. Training never saw these grasps.",
