@@ -131,7 +131,7 @@ def _show_chamfer(terminal: Terminal, scores: RunScores, part: str, given: str) 
 
 def _show_surfaces(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:
     rows = [r for r in scores.hands if (r.part, r.input) == (part, given)]
-    columns = ("hand", "n", "mean mm", "median mm", "p95 mm", "F 1 mm", "F 2 mm", "contact error")
+    columns = ("hand", "n", "mean mm", "median mm", "p95 mm", "F 1 mm", "F 2 mm", "contact error", "wrong", "infer ms")
     body: list[list[Cell]] = []
     for hand in dict.fromkeys(r.hand for r in rows):
         own = [r for r in rows if r.hand == hand]
@@ -140,9 +140,10 @@ def _show_surfaces(terminal: Terminal, scores: RunScores, part: str, given: str)
             [
                 hand, sum(r.grasps for r in own), *(mean(f"surface_{k}_mm") for k in ("mean", "median", "p95")),
                 f"{mean('f_1mm'):.3f}", f"{mean('f_2mm'):.3f}", mean("contact_error_mean"),
+                sum(r.wrong for r in own), None if own[0].infer_ms is None else f"{mean('infer_ms'):.0f}",
             ]
         )  # fmt: skip
-    terminal.say("Hand surface to true surface, both ways; F-scores; mean |difference| of contact maps:")
+    terminal.say("Hand surface to true surface, both ways; F-scores; mean |difference| of contact maps; wrong by over 10 mm:")
     terminal.table(columns, body)
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from neuralgrasps.apply.retrieve import retrieve
 from neuralgrasps.errors import InputError
-from neuralgrasps.evaluate.reconstruction import score_object
+from neuralgrasps.evaluate.reconstruction import ObjectReconstruction, score_object
 from neuralgrasps.evaluate.retrieval import score_codebook
 from neuralgrasps.evaluate.run_pairs import MeasureConfig, PairResult, PairTask, measure_pair
 from neuralgrasps.evaluate.run_scores import (
@@ -28,6 +29,7 @@ from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.model.codes import CodeBook, join_codes
 from neuralgrasps.model.kinematic_field import KinematicField
+from neuralgrasps.model.reconstruct import SurfaceErrors, surface_errors
 from neuralgrasps.parallel import run_tasks
 
 RERANK = 20
@@ -71,22 +73,9 @@ def evaluate_run(
         hands=tuple(hands),
         objects=tuple(objects),
         similarities=tuple(similarities),
-        times_ms=_times(field, book, grasps),
-        errors_mm={
-            (r.part, given): {
-                other.hand: np.concatenate(
-                    [
-                        1e3 * o.shapes[given].distances_m.mean(axis=(1, 2))
-                        for o in results
-                        if (o.part, o.hand) == (r.part, other.hand)
-                    ]
-                )
-                for other in results
-                if other.part == r.part
-            }
-            for r in results
-            for given in r.shapes
-        },
+        pooled=_pooled(results),
+        times_ms=_times(field, book, grasps, results),
+        errors_mm=_errors_by_hand(results),
         conditions=_conditions(book, results, config),
     )
 
@@ -105,11 +94,8 @@ def _tasks(
                 rows = rows[np.unique(np.linspace(0, len(rows) - 1, config.per_pair).astype(int))]
             chosen = grasps[hand, name][rows.grasp_index.astype(np.int64)]
             tasks.append(
-                PairTask(
-                    field=_only(field, hand, name), hand=hand, object=name, part=part, book=rows,
-                    gallery=gallery, X_OH=np.asarray(chosen.X_OH), q=np.asarray(chosen.q),
-                )
-            )  # fmt: skip
+                PairTask(field=_only(field, hand, name), part=part, book=rows, gallery=gallery, grasps=chosen)
+            )
     return tasks
 
 
@@ -128,7 +114,7 @@ def _measured(
     tasks: Sequence[PairTask], config: MeasureConfig, workers: int | None, progress: Progress | None
 ) -> list[PairResult]:
     """Results in the order of the tasks; hands with most joints go first, so that no worker ends alone."""
-    order = sorted(range(len(tasks)), key=lambda i: -tasks[i].q.shape[1])
+    order = sorted(range(len(tasks)), key=lambda i: -tasks[i].grasps.q.shape[1])
     done: dict[int, PairResult] = {}
     for index, result in run_tasks(measure_pair, [(tasks[i], config) for i in order], workers=workers):
         done[order[index]] = result
@@ -140,11 +126,7 @@ def _measured(
 def _rows(
     field: KinematicField, book: CodeBook, results: Sequence[PairResult], config: MeasureConfig
 ) -> tuple[list[HandRow], list[ObjectRow], list[SimilarityRow]]:
-    hands = [
-        hand_row(scores, r.map_errors[given], part=r.part, given=given, object_name=r.object, hand=r.hand)
-        for r in results
-        for given, scores in r.shapes.items()
-    ]
+    hands = [_hand_row(r, given) for r in results for given in r.shapes]
     shapes = {name: _object(field, name, config) for name in dict.fromkeys(r.object for r in results)}
     parts = list(dict.fromkeys(r.part for r in results))
     objects = [object_row(shapes[r.object], part=part) for part in parts for r in _first_of_objects(results, part)]
@@ -162,11 +144,57 @@ def _rows(
     return hands, objects, similarities
 
 
+def _hand_row(result: PairResult, given: str) -> HandRow:
+    row = hand_row(
+        result.shapes[given], result.map_errors[given],
+        part=result.part, given=given, object_name=result.object, hand=result.hand,
+    )  # fmt: skip
+    if given not in result.cpu_s:
+        return row
+    wrong, doubted = result.wrong(given), result.suspect[given]
+    return replace(
+        row,
+        wrong=int(wrong.sum()),
+        wrong_suspected=int((wrong & doubted).sum()),
+        doubted=int(doubted.sum()),
+        infer_ms=1e3 * float(np.median(result.cpu_s[given])),
+    )
+
+
+def _groups(results: Sequence[PairResult]) -> dict[tuple[str, str], list[PairResult]]:
+    """(part, input) -> results that have it."""
+    groups: dict[tuple[str, str], list[PairResult]] = {}
+    for result in results:
+        for given in result.shapes:
+            groups.setdefault((result.part, given), []).append(result)
+    return groups
+
+
+def _pooled(results: Sequence[PairResult]) -> dict[tuple[str, str], SurfaceErrors]:
+    return {
+        key: surface_errors(np.concatenate([r.shapes[key[1]].distances_m for r in group]))
+        for key, group in _groups(results).items()
+    }
+
+
+def _errors_by_hand(results: Sequence[PairResult]) -> dict[tuple[str, str], dict[str, np.ndarray]]:
+    """(part, input) -> hand -> mean surface error of each grasp, mm."""
+    return {
+        (part, given): {
+            hand: np.concatenate(
+                [1e3 * r.shapes[given].distances_m.mean(axis=(1, 2)) for r in group if r.hand == hand]
+            )
+            for hand in dict.fromkeys(r.hand for r in group)
+        }
+        for (part, given), group in _groups(results).items()
+    }
+
+
 def _first_of_objects(results: Sequence[PairResult], part: str) -> list[PairResult]:
     return list({r.object: r for r in reversed(results) if r.part == part}.values())[::-1]
 
 
-def _object(field: KinematicField, name: str, config: MeasureConfig):  # type: ignore[no-untyped-def]
+def _object(field: KinematicField, name: str, config: MeasureConfig) -> ObjectReconstruction:
     obj = field.object(name)
     return score_object(
         lambda p: query_grid_numpy(obj.sdf, p), obj.mesh, object_name=name, seed=config.seed, queries=config.queries
@@ -174,12 +202,12 @@ def _object(field: KinematicField, name: str, config: MeasureConfig):  # type: i
 
 
 def _times(
-    field: KinematicField, book: CodeBook, grasps: Mapping[tuple[str, str], GraspSet]
+    field: KinematicField, book: CodeBook, grasps: Mapping[tuple[str, str], GraspSet], results: Sequence[PairResult]
 ) -> dict[str, float]:
-    """Wall-clock milliseconds of one grasp at a time in this process, medians over `_TIMED` unseen grasps a pair.
+    """Milliseconds for one grasp, medians.
 
-    `encode`: code of a known grasp, contact map included. `retrieve`: its nearest grasps among the training grasps of
-    all hands on its object, re-ranked.
+    `encode`: wall-clock, the code of a known grasp with its contact map, one thread. `retrieve`: wall-clock, its
+    nearest among the training grasps of all hands on its object, re-ranked. `infer, ...`: processor time.
     """
     encode, find = [], []
     gallery = book[book.where(is_test=False)]
@@ -194,12 +222,16 @@ def _times(
             retrieve(code, gallery, object_name=name, rerank=RERANK)
             encode.append(middle - start)
             find.append(time.perf_counter() - middle)
-    return {"encode": 1e3 * float(np.median(encode)), "retrieve": 1e3 * float(np.median(find))}
+    times = {"encode": 1e3 * float(np.median(encode)), "retrieve": 1e3 * float(np.median(find))}
+    for given in dict.fromkeys(given for r in results for given in r.cpu_s):
+        times[f"infer, {given}"] = 1e3 * float(np.median(np.concatenate([r.cpu_s[given] for r in results])))
+    return times
 
 
 def _conditions(book: CodeBook, results: Sequence[PairResult], config: MeasureConfig) -> dict[str, str]:
     words = {
-        "queries": f"{config.queries:,} per grasp in the unit ball (the paper's text says 100,000, its script 1,000,000)",
+        "queries": f"{config.queries:,} per grasp in the unit ball (the paper's text says 100,000, its script "
+        "1,000,000)",
         "surface points": f"{config.points:,} on each surface of a grasp",
         "seed": str(config.seed),
     }
@@ -207,9 +239,8 @@ def _conditions(book: CodeBook, results: Sequence[PairResult], config: MeasureCo
         measured = sum(len(next(iter(r.shapes.values()))) for r in results if r.part == part)
         whole = int(book.where(is_test=part == "test").sum())
         words[f"{part} grasps"] = f"{whole} for retrieval, {measured} for shapes"
-    inputs = {given for r in results for given in r.shapes}
-    if ALL_OVER in inputs:
-        words[ALL_OVER] = f"{config.observed_points:,} points, no noise"
-    if ONE_VIEW in inputs:
-        words[ONE_VIEW] = f"at most {config.observed_points:,} points, {1e3 * config.view_noise_m:g} mm noise along the rays"
+    if any(r.cpu_s for r in results):
+        noise = f"{1e3 * config.noise_m:g} mm noise"
+        words[ALL_OVER] = f"1,024 points all over the hand, {noise} in each coordinate"
+        words[ONE_VIEW] = f"at most 1,024 points that one depth camera sees, {noise} along its rays"
     return words

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from neuralgrasps.dataset.samples import contact_maps, normalisation_of
-from neuralgrasps.evaluate.observe import observe_hand, observe_hand_one_view
+from neuralgrasps.errors import InputError
+from neuralgrasps.evaluate.inference_bench import WRONG_BASIN_M, Condition, PairInference, infer_pair
 from neuralgrasps.evaluate.reconstruction import ShapeScores, decoded_grasps, score_shapes
 from neuralgrasps.evaluate.run_scores import ALL_OVER, KNOWN, ONE_VIEW
+from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.model.codes import CodeBook
-from neuralgrasps.model.infer import infer_grasps, one_view_config
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.reconstruct import QUERIES, posed_hands
 from neuralgrasps.seeds import child_seed
@@ -25,8 +26,8 @@ class MeasureConfig:
         queries: points asked per grasp by the published measure.
         points: per surface and grasp, for surface distances.
         observed: also find the unseen grasps again from observed points.
-        observed_points: points of each observation. view_noise_m: of one view, along the rays; all-over points have
-            none.
+        noise_m: of the observed points: of each coordinate all over, along the rays in one view. Inference is not
+            told it, nor where the camera is.
         per_pair: grasps of the training part whose shapes are measured, per hand and object (retrieval takes all).
         seed: of queries, surface points and observations.
     """
@@ -34,10 +35,25 @@ class MeasureConfig:
     queries: int = QUERIES
     points: int = 1000
     observed: bool = True
-    observed_points: int = 1024
-    view_noise_m: float = 0.001
+    noise_m: float = 0.003
     per_pair: int = 5
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.queries < 1 or self.points < 1 or self.per_pair < 1:
+            raise InputError(
+                f"queries {self.queries}, points {self.points}, per_pair {self.per_pair}; expected at least 1 each."
+            )
+        if not self.noise_m >= 0:
+            raise InputError(f"noise_m is {self.noise_m}; expected 0 or more metres.")
+
+    @property
+    def observations(self) -> dict[str, Condition]:
+        """What is observed, by input."""
+        return {
+            ALL_OVER: Condition(one_view=False, noise_m=self.noise_m),
+            ONE_VIEW: Condition(one_view=True, noise_m=self.noise_m),
+        }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,23 +61,25 @@ class PairTask:
     """One hand and object: the field of just these, true grasps, their codes and those to search among.
 
     Attributes:
-        X_OH (N, 4, 4), q (N, J): the true grasps, in the order of `book`, whose contact maps are theirs.
-        gallery: codes of the pair's training grasps.
+        grasps: the true ones, in the order of `book`. gallery: codes of the pair's training grasps.
     """
 
     field: KinematicField
-    hand: str
-    object: str
     part: str
     book: CodeBook
     gallery: CodeBook
-    X_OH: np.ndarray
-    q: np.ndarray
+    grasps: GraspSet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairResult:
-    """Scores by input; `map_errors`: input -> (N, P); `codes`: input -> codes found, in the order of the task."""
+    """What was found, by input.
+
+    Attributes:
+        shapes: scores. map_errors: (N, P) |differences| of contact maps. codes: those found, in the order of the task
+            (none for known grasps: they are the book's).
+        suspect: (N,) whether inference itself doubts the result. cpu_s: (N,) of one inference.
+    """
 
     hand: str
     object: str
@@ -69,56 +87,49 @@ class PairResult:
     shapes: dict[str, ShapeScores]
     map_errors: dict[str, np.ndarray]
     codes: dict[str, CodeBook] = field(default_factory=dict)
+    suspect: dict[str, np.ndarray] = field(default_factory=dict)
+    cpu_s: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def wrong(self, given: str) -> np.ndarray:
+        """(N,) bool: mean surface error above 10 mm, another grasp altogether."""
+        return self.shapes[given].distances_m.mean(axis=(1, 2)) > WRONG_BASIN_M
 
 
 def measure_pair(task: PairTask, config: MeasureConfig) -> PairResult:
     """Reconstruct the grasps from each kind of input and compare with the true ones."""
-    found = {KNOWN: decoded_grasps(task.field, task.book.values, hand=task.hand, object_name=task.object)}
-    codes: dict[str, CodeBook] = {}
+    hand, name = task.grasps.hand, task.grasps.object
+    inferred: dict[str, PairInference] = {}
     if config.observed and task.part == "test":
-        for given, (X_OH, q, book) in _infer(task, config).items():
-            found[given] = (X_OH, q)
-            codes[given] = replace(book, grasp_index=task.book.grasp_index)
-    packed, obj = task.field.packed[task.hand], task.field.object(task.object)
-    radius = task.field.object_codecs[task.object].radius_m
+        for given, how in config.observations.items():
+            inferred[given] = infer_pair(
+                task.field, task.gallery, task.grasps, task.book.grasp_index, how, config.seed
+            )
+    books = {KNOWN: task.book} | {given: one.codes for given, one in inferred.items()}
+    found = {
+        given: decoded_grasps(task.field, book.values, hand=hand, object_name=name) for given, book in books.items()
+    }
+    packed, obj = task.field.packed[hand], task.field.object(name)
+    radius = task.field.object_codecs[name].radius_m
     shapes = score_shapes(
         {given: posed_hands(packed, X_OH, q) for given, (X_OH, q) in found.items()},
-        posed_hands(packed, task.X_OH, task.q),
+        posed_hands(packed, task.grasps.X_OH, task.grasps.q),
         normalisation=normalisation_of(obj.points_O),
-        seeds=_seeds(task, config, "shapes"),
+        seeds=[child_seed(config.seed, "shapes", hand, name, int(i)) for i in task.book.grasp_index],
         queries=config.queries,
         points=config.points,
     )
-    true_maps = contact_maps(packed, task.X_OH, task.q, obj.points_O, radius_m=radius)
+    true_maps = contact_maps(packed, task.grasps.X_OH, task.grasps.q, obj.points_O, radius_m=radius)
     errors = {
         given: np.abs(contact_maps(packed, X_OH, q, obj.points_O, radius_m=radius) - true_maps)
         for given, (X_OH, q) in found.items()
     }
     return PairResult(
-        hand=task.hand, object=task.object, part=task.part, shapes=shapes, map_errors=errors, codes=codes
+        hand=hand,
+        object=name,
+        part=task.part,
+        shapes=shapes,
+        map_errors=errors,
+        codes={given: one.codes for given, one in inferred.items()},
+        suspect={given: one.suspect for given, one in inferred.items()},
+        cpu_s={given: one.seconds for given, one in inferred.items()},
     )
-
-
-def _infer(task: PairTask, config: MeasureConfig) -> dict[str, tuple[np.ndarray, np.ndarray, CodeBook]]:
-    """Pose, joints and codes found from observed points, by input."""
-    packed, hand, obj = task.field.packed[task.hand], task.field.hand(task.hand), task.field.object(task.object)
-    whole, view = [], []
-    for X_OH, q, seed in zip(task.X_OH, task.q, _seeds(task, config, "observed"), strict=True):
-        whole.append(observe_hand(packed, X_OH, q, seed=seed, points=config.observed_points))
-        view.append(
-            observe_hand_one_view(
-                hand, obj, X_OH, q, seed=seed, noise_m=config.view_noise_m, points=config.observed_points
-            )
-        )
-    common = {"hand": task.hand, "object_name": task.object}
-    results = {
-        ALL_OVER: infer_grasps(whole, task.field, task.gallery, **common),
-        ONE_VIEW: infer_grasps(
-            view, task.field, task.gallery, **common, config=one_view_config(config.view_noise_m)
-        ),
-    }
-    return {given: (r.X_OH, r.q, r.codes) for given, r in results.items()}
-
-
-def _seeds(task: PairTask, config: MeasureConfig, what: str) -> list[int]:
-    return [child_seed(config.seed, what, task.hand, task.object, int(i)) for i in task.book.grasp_index]

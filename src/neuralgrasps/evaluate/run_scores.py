@@ -11,6 +11,7 @@ import numpy as np
 from neuralgrasps.evaluate.published import published_chamfer_of, published_similarities
 from neuralgrasps.evaluate.reconstruction import F_SCORES_M, ObjectReconstruction, ShapeScores
 from neuralgrasps.evaluate.retrieval import RetrievalScores
+from neuralgrasps.model.reconstruct import SurfaceErrors
 
 KNOWN, ALL_OVER, ONE_VIEW = "known", "observed all over", "observed in one view"
 SDF_SAMPLES = "signed distances"
@@ -34,6 +35,8 @@ class HandRow:
         surface_*_mm: surface to surface, both ways pooled.
         f_1mm, f_2mm: mean F-scores over the grasps (`model.reconstruct.f_score`).
         contact_error_mean, contact_error_p95: |difference| of the contact maps of decoded and true hand, in [0, 1].
+        wrong: grasps with a mean surface error above 10 mm; wrong_suspected: those of them that inference doubts;
+            doubted: grasps that it doubts, right or wrong. infer_ms: median processor time of one inference.
     """
 
     part: str
@@ -51,6 +54,10 @@ class HandRow:
     f_2mm: float
     contact_error_mean: float
     contact_error_p95: float
+    wrong: int = 0
+    wrong_suspected: int = 0
+    doubted: int = 0
+    infer_ms: float | None = None
 
     @property
     def over_oracle(self) -> float:
@@ -126,6 +133,7 @@ class RunScores:
 
     Attributes:
         field: which field the figures belong to, "KinematicField" or "MlpField".
+        pooled: (part, input) -> surface errors over all surface points of all grasps.
         times_ms: figure -> milliseconds (`evaluate_run` says of what).
         errors_mm: (part, input) -> hand -> mean surface error of each grasp, mm, for histograms.
         conditions: what was given and how much of it, as name and text.
@@ -135,6 +143,7 @@ class RunScores:
     hands: tuple[HandRow, ...]
     objects: tuple[ObjectRow, ...]
     similarities: tuple[SimilarityRow, ...]
+    pooled: Mapping[tuple[str, str], SurfaceErrors]
     times_ms: Mapping[str, float]
     errors_mm: Mapping[tuple[str, str], Mapping[str, np.ndarray]]
     conditions: Mapping[str, str]
@@ -145,27 +154,32 @@ class RunScores:
         return tuple(dict.fromkeys((row.part, row.input) for row in self.similarities))
 
     def summary(self, part: str, given: str) -> dict[str, float]:
-        """Means over objects and hands of one part and input; `chamfer_over_oracle` and p95 are of all pairs' rows."""
+        """Figures of one part and input over all objects and hands.
+
+        Surface errors are over all surface points, F-scores and contact errors over the grasps, shares over the grasps;
+        `chamfer_over_oracle` is the mean over the columns of the table, similarities are means over the objects.
+        """
         hands = [r for r in self.hands if (r.part, r.input) == (part, given)]
         similar = [r for r in self.similarities if (r.part, r.input) == (part, given)]
-        figures = {
-            "gap": _mean([r.gap for r in similar]),
-            "gap_reranked": _mean([r.gap_reranked for r in similar]),
-            "recall_at_1": _mean([r.recall_at_1 for r in similar]),
-            "recall_at_5": _mean([r.recall_at_5 for r in similar]),
-            "recall_at_10": _mean([r.recall_at_10 for r in similar]),
+        names = ("gap", "gap_reranked", "recall_at_1", "recall_at_5", "recall_at_10")
+        figures = {name: _mean([getattr(r, name) for r in similar]) for name in names}
+        if not hands:
+            return figures
+        count = sum(r.grasps for r in hands)
+        pooled = self.pooled[part, given]
+        figures |= {
+            "grasps": count,
+            "chamfer_over_oracle": _mean([r.over_oracle for r in hands]),
+            "chamfer_over_oracle_worst": max(r.over_oracle for r in hands),
+            "surface_mean_mm": 1e3 * pooled.mean_m,
+            "surface_median_mm": 1e3 * pooled.median_m,
+            "surface_p95_mm": 1e3 * pooled.p95_m,
+            "wrong_basins": sum(r.wrong for r in hands) / count,
+            "wrong_suspected": sum(r.wrong_suspected for r in hands) / max(1, sum(r.wrong for r in hands)),
+            "doubted": sum(r.doubted for r in hands) / count,
         }
-        if hands:
-            figures |= {
-                "chamfer_over_oracle": _mean([r.over_oracle for r in hands]),
-                "chamfer_over_oracle_worst": max(r.over_oracle for r in hands),
-                "surface_mean_mm": _mean([r.surface_mean_mm for r in hands]),
-                "surface_median_mm": _mean([r.surface_median_mm for r in hands]),
-                "surface_p95_mm": _mean([r.surface_p95_mm for r in hands]),
-                "f_1mm": _mean([r.f_1mm for r in hands]),
-                "f_2mm": _mean([r.f_2mm for r in hands]),
-                "contact_error_mean": _mean([r.contact_error_mean for r in hands]),
-            }
+        for name in ("f_1mm", "f_2mm", "contact_error_mean"):
+            figures[name] = sum(getattr(r, name) * r.grasps for r in hands) / count
         return figures
 
     def against_paper(self, part: str, given: str) -> dict[str, tuple[str, ...]]:
@@ -208,7 +222,7 @@ class RunScores:
 def hand_row(
     scores: ShapeScores, map_errors: np.ndarray, *, part: str, given: str, object_name: str, hand: str
 ) -> HandRow:
-    """The row of one pair; `map_errors`: |differences| of contact maps, any shape."""
+    """The row of one pair, nothing inferred; `map_errors`: |differences| of contact maps, any shape."""
     surface = scores.surface
     first, second = (float(scores.f_scores(threshold).mean()) for threshold in F_SCORES_M)
     return HandRow(
