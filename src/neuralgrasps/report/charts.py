@@ -22,13 +22,14 @@ def scatter_svg(
     label: str = "",
     unseen: Sequence[int] = (),
     letters: Mapping[int, str] | None = None,
+    size: float = 1.0,
 ) -> str:
     """Scatter of (N, 2) points coloured and shaped by hand; no axes, since t-SNE's have no meaning.
 
     Args:
         points: (N, 2) finite numbers; hands: N names; notes: N hover texts, or none.
         label: what the picture is, read by screen readers.
-        unseen: points drawn as outlines. letters: point -> the letter beside it.
+        unseen: points drawn as outlines. letters: point -> the letter beside it. size: of the marks.
     """
     width, height, border = 640, 460, 22
     points = np.asarray(points, np.float64).reshape(-1, 2)
@@ -46,7 +47,7 @@ def scatter_svg(
         data = f' data-letter="{escape(letter)}"' if letter else ""
         marks.append(
             f'<g class="{css}" data-hand="{escape(hand)}" data-at="{x:.1f} {y:.1f}"{data} style="--c:{hand_colour(hand)}">'
-            f"{_mark(_shape(hand), x, y)}<title>{escape(text)}</title></g>"
+            f"{_mark(_shape(hand), x, y, size)}<title>{escape(text)}</title></g>"
         )
         if letter:
             tags.append(
@@ -63,7 +64,7 @@ def legend_html(hands: Sequence[str], *, toggles: bool = False) -> str:
     parts = []
     for hand in items:
         mark = f'<g class="mark" style="--c:{hand_colour(hand)}">{_mark(_shape(hand), 7, 7)}</g>'
-        content = f'<svg class="chart" viewBox="0 0 14 14" aria-hidden="true">{mark}</svg>{escape(hand)}'
+        content = f'<svg viewBox="0 0 14 14" aria-hidden="true">{mark}</svg>{escape(hand)}'
         if toggles:
             button = f'<button type="button" aria-pressed="true" data-hand="{escape(hand)}">{content}</button>'
             parts.append(button)
@@ -171,9 +172,9 @@ def _shape(hand: str) -> str:
     return _SHAPES.get(hand, "circle")
 
 
-def _mark(shape: str, x: float, y: float) -> str:
+def _mark(shape: str, x: float, y: float, size: float = 1.0) -> str:
     if shape == "circle":
-        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.6"/>'
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{4.6 * size:.1f}"/>'
     arm, tip = 1.8, 5.4
     outlines = {
         "square": [(-4.1, -4.1), (4.1, -4.1), (4.1, 4.1), (-4.1, 4.1)],
@@ -184,7 +185,7 @@ def _mark(shape: str, x: float, y: float) -> str:
             *[(arm, tip), (-arm, tip), (-arm, arm), (-tip, arm), (-tip, -arm), (-arm, -arm)],
         ],
     }
-    corners = " ".join(f"{x + dx:.1f},{y + dy:.1f}" for dx, dy in outlines[shape])
+    corners = " ".join(f"{x + size * dx:.1f},{y + size * dy:.1f}" for dx, dy in outlines[shape])
     return f'<polygon points="{corners}"/>'
 
 

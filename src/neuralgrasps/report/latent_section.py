@@ -11,6 +11,9 @@ from neuralgrasps.report.palette import hand_colour
 from neuralgrasps.report.sections import PictureEncoder, grid, pretty_name
 
 
+MANY = 600  # marks from which on they are drawn smaller
+
+
 def latent_section(maps: Sequence[LatentMap], pictures: PictureEncoder) -> str:
     """All maps under one legend, whose names show and hide the hands in every map."""
     cards = [_map_card(m, pictures) for m in maps]
@@ -22,16 +25,17 @@ def latent_section(maps: Sequence[LatentMap], pictures: PictureEncoder) -> str:
 def _map_card(m: LatentMap, pictures: PictureEncoder) -> str:
     letters = {point: letter_of(place) for place, point in enumerate(m.pictures)}
     label = f"t-SNE of {pretty_name(m.title)}. Arrow keys walk from mark to mark."
-    svg = scatter_svg(m.points, m.hands, m.notes, label=label, unseen=m.unseen, letters=letters)
-    title = f'<div class="top">{escape(pretty_name(m.title))}<span class="chip">{len(m.hands)} grasps</span></div>'
-    note = f'<div class="note">{escape(m.text)}</div>' if m.text else ""
+    svg = scatter_svg(m.points, m.hands, m.notes, label=label, unseen=m.unseen, letters=letters, size=0.72 if len(m.hands) > MANY else 1.0)
+    note = f"<span>{escape(m.text)}</span>" if m.text else ""
+    count = f'<span class="chip">{len(m.hands):,} grasps</span>'
+    head = f"<header><b>{escape(pretty_name(m.title))}</b>{note}{count}</header>"
     thumbs = "".join(_thumb(m, point, letters[point], pictures) for point in m.pictures)
     strip = f'<div class="thumbs">{thumbs}</div>' if thumbs else ""
     words = '<p class="said" aria-live="polite">Point at a mark.</p>'
+    many = " many" if len(m.hands) > MANY else ""
     return (
-        f'<figure class="latent"><div class="map"><div class="plot" tabindex="0">{svg}</div>'
-        f'<div class="peek"><div class="shown"></div>{words}</div></div>{strip}'
-        f"<figcaption>{title}{note}</figcaption></figure>"
+        f'<figure class="latent">{head}<div class="map{many}"><div class="plot" tabindex="0">{svg}</div>'
+        f'<div class="peek"><div class="shown"></div>{words}</div></div>{strip}</figure>'
     )
 
 
