@@ -1,0 +1,148 @@
+"""Tables of the evaluation page: ours beside the paper's figures and a perfect field's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from neuralgrasps.evaluate.run_scores import INPUTS, HandRow, ObjectRow, RunScores, SimilarityRow
+from neuralgrasps.report.content import Table
+from neuralgrasps.report.sections import pretty_name
+
+_WHOSE = {"test": "Unseen grasps", "train": "Training grasps"}
+_PERFECT = "a perfect field"
+
+
+def tables_of(scores: RunScores) -> tuple[Table, ...]:
+    """All tables, part by part and input by input; the measured field and the input are in every title."""
+    tables = []
+    for part, given in scores.parts_and_inputs:
+        tables += [
+            chamfer_table(scores, part, given),
+            surface_table(scores, part, given),
+            similarity_table(scores, part, given),
+        ]
+    return (summary_table(scores), *(t for t in tables if t.rows), times_table(scores))
+
+
+def summary_table(scores: RunScores) -> Table:
+    """One row for each kind of input."""
+    rows = []
+    for part, given in scores.parts_and_inputs:
+        s = scores.summary(part, given)
+        names = ("surface_mean_mm", "surface_median_mm", "surface_p95_mm", "f_1mm", "f_2mm", "chamfer_over_oracle")
+        numbers = [s.get(name) for name in names]
+        wrong = None if "wrong_basins" not in s else f"{100 * s['wrong_basins']:.1f} %"
+        gaps = (f"{s['gap']:.4f}", f"{s['gap_reranked']:.4f}", f"{s['recall_at_1']:.2f}")
+        rows.append((f"{_WHOSE[part]}, {given}", *map(_plain, numbers), wrong, *gaps))
+    return Table(
+        title=f"All objects and hands together ({scores.field})",
+        columns=(
+            "input", "surface mean, mm", "median", "p95", "F at 1 mm", "at 2 mm", f"Chamfer over {_PERFECT}'s",
+            "wrong by 10 mm", "gap", "gap re-ranked", "recall at 1",
+        ),
+        rows=tuple(rows),
+        meaning="Surface: distances between decoded and true hand, both ways, over all surface points. Gap: contact "
+        "similarity of the best grasp there is, less that of the one found by code. Kinds of input are never mixed: "
+        + " ".join(f"{given.capitalize()}: {INPUTS[given]}." for given in dict.fromkeys(g for _, g in scores.parts_and_inputs)),
+        how=" ".join(f"{name.capitalize()}: {text}." for name, text in scores.conditions.items()),
+    )  # fmt: skip
+
+
+def chamfer_table(scores: RunScores, part: str, given: str) -> Table:
+    """The published measure, object by object and hand by hand: ours, the paper's, and a perfect field's."""
+    own = [r for r in scores.hands if (r.part, r.input) == (part, given)]
+    hands = list(dict.fromkeys(r.hand for r in own))
+    body = []
+    for shape in (r for r in scores.objects if r.part == part):
+        cells: list[HandRow | ObjectRow | None] = [shape]
+        cells += [next((r for r in own if (r.object, r.hand) == (shape.object, hand)), None) for hand in hands]
+        body.append((pretty_name(shape.object), *map(_chamfer_text, cells)))
+    sides = scores.against_paper(part, given)
+    counts = (
+        f"At or below the paper's figure: {len(sides['at_or_below'])} columns. Above it: {len(sides['above'])}. Above it "
+        f"where {_PERFECT} is too: {len(sides['above_as_a_perfect_field'])}."
+    )
+    return Table(
+        title=f"Published Chamfer × 10⁻³: {_WHOSE[part].lower()}, {given} ({scores.field})",
+        columns=("object", "object itself", *hands),
+        rows=tuple(body),
+        meaning=f"Each cell: ours, its ratio to what {_PERFECT} scores on the same queries, and the paper's figure in "
+        f"brackets. The measure compares a filled shape with a surface, so even {_PERFECT} scores well above zero, and "
+        f"a hollow shape below that. {counts if any(sides.values()) else ''}",
+        how="The paper's figures are for its own hands, grasps and samples of the objects: the comparison is one of "
+        "protocol, not of data. Means over the grasps of a hand and object.",
+    )
+
+
+def _chamfer_text(row: HandRow | ObjectRow | None) -> str | None:
+    if row is None:
+        return None
+    paper = "" if row.paper_e3 is None else f" ({row.paper_e3:.2f})"
+    return f"{row.chamfer_e3:.2f} ×{row.over_oracle:.3f}{paper}"
+
+
+def surface_table(scores: RunScores, part: str, given: str) -> Table:
+    """Honest millimetres, by object and hand."""
+    rows = [r for r in scores.hands if (r.part, r.input) == (part, given)]
+    inferred = any(r.infer_ms is not None for r in rows)
+    columns = ("object", "hand", "grasps", "mean, mm", "median", "p95", "F at 1 mm", "at 2 mm", "contact error", "its p95")
+    body = []
+    for r in rows:
+        own = (r.surface_mean_mm, r.surface_median_mm, r.surface_p95_mm)
+        more = (f"{r.wrong}", None if r.infer_ms is None else float(r.infer_ms)) if inferred else ()
+        body.append(
+            (
+                pretty_name(r.object), r.hand, r.grasps, *map(_plain, own), f"{r.f_1mm:.3f}", f"{r.f_2mm:.3f}",
+                f"{r.contact_error_mean:.4f}", f"{r.contact_error_p95:.4f}", *more,
+            )
+        )  # fmt: skip
+    return Table(
+        title=f"Hand surfaces: {_WHOSE[part].lower()}, {given} ({scores.field})",
+        columns=(*columns, "wrong by 10 mm", "infer, CPU ms") if inferred else columns,
+        rows=tuple(body),
+        meaning="Distance between decoded and true hand, from points of each surface to the other, exact. F-score: "
+        "harmonic mean of the shares of either surface within 1 or 2 mm of the other. Contact error: |difference| of the "
+        "contact maps of decoded and true hand, over the object's contact points.",
+    )
+
+
+def similarity_table(scores: RunScores, part: str, given: str) -> Table:
+    """Retrieval, the paper's figures in brackets."""
+    rows = [r for r in scores.similarities if (r.part, r.input) == (part, given)]
+    return Table(
+        title=f"Retrieval: {_WHOSE[part].lower()}, {given} ({scores.field})",
+        columns=(
+            "object", "queries", "Near Z", "Near GT", "Far Z", "Far GT", "gap", "gap re-ranked", "recall at 1", "at 5", "at 10",
+        ),
+        rows=tuple(_similarity_cells(r) for r in rows),
+        meaning="Contact similarity of the nearest and farthest training grasp, found by code (Z) and by the contact maps "
+        "themselves (GT: the best and worst there are); the paper's figures in brackets. Recall at k: the nearest grasp by "
+        "contact map is among the k nearest by code. Re-ranked: the first 20 by code put in order by contact map.",
+        how="L1 between contact maps over the largest of the object's; similarity is one minus that.",
+    )  # fmt: skip
+
+
+def _similarity_cells(r: SimilarityRow) -> tuple[str | int | None, ...]:
+    pairs: Sequence[tuple[float, float | None]] = (
+        (r.near_z, r.paper_near_z), (r.near_gt, r.paper_near_gt), (r.far_z, r.paper_far_z), (r.far_gt, r.paper_far_gt),
+    )  # fmt: skip
+    beside = [f"{own:.2f}" + ("" if paper is None else f" ({paper:.2f})") for own, paper in pairs]
+    recall = (f"{r.recall_at_1:.2f}", f"{r.recall_at_5:.2f}", f"{r.recall_at_10:.2f}")
+    return (pretty_name(r.object), r.queries, *beside, f"{r.gap:.4f}", f"{r.gap_reranked:.4f}", *recall)
+
+
+def times_table(scores: RunScores) -> Table:
+    """Milliseconds for one grasp."""
+    return Table(
+        title="Times of one grasp",
+        columns=("what", "ms"),
+        rows=tuple((name, value) for name, value in scores.times_ms.items()),
+        meaning="Encode: the code of a known grasp, with its contact map. Retrieve: its nearest grasps on the object, "
+        "re-ranked. Infer: pose, joints and code from observed points.",
+        how="Medians; encode and retrieve in wall-clock time on one thread, infer in processor time.",
+    )
+
+
+def _plain(value: float | None) -> float | str | None:
+    """A length in mm; what is exact but for rounding shows as 0."""
+    return value if value is None or value >= 5e-4 else "0.000"
