@@ -12,7 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from neuralgrasps.cli.models import open_hands, open_objects, warn_of_damage
+from neuralgrasps.cli.models import open_hands, open_objects, warn_of_damage, warn_of_stand_ins
 from neuralgrasps.cli.terminal import Terminal
 from neuralgrasps.errors import InputError
 
@@ -52,7 +52,7 @@ def bench_synthesis(
     from neuralgrasps.evaluate.synthesis_bench import bench_synthesis as run
     from neuralgrasps.evaluate.synthesis_figures import infeasible_pairs
     from neuralgrasps.evaluate.synthesis_pairs import pair_record
-    from neuralgrasps.hands.zoo import hand_names
+    from neuralgrasps.hands.zoo import hand_sources
     from neuralgrasps.parallel import available_cpus
     from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
@@ -63,8 +63,9 @@ def bench_synthesis(
     )
     sources = bench_objects(objects, quick=quick)
     with terminal.progress("reading hands and objects"):
-        loaded, models = open_hands(tuple(hands) or hand_names()), open_objects(sources)
+        loaded, models = open_hands(hand_sources(hands)), open_objects(sources)
     warn_of_damage(terminal, models.values())
+    warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
     with terminal.progress("synthesis") as bar:
         result = run(list(loaded.values()), list(models.values()), config=config, progress=bar.stage)
     figures = dict(result.figures)

@@ -1,11 +1,12 @@
-"""`neuralgrasps dataset`: build from grasp files, describe, verify."""
+"""`neuralgrasps dataset`: build from grasp files or from hands and objects, describe, verify."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -16,40 +17,65 @@ from neuralgrasps.cli.models import (
     read_sources,
     source_text,
     warn_of_damage,
+    warn_of_stand_ins,
     write_sources,
 )
-from neuralgrasps.cli.options import Folder, Names, PositionalFolder, Unit, Workers, check_seed
+from neuralgrasps.cli.options import Folder, Names, OptionalInt, PositionalFolder, Unit, Workers, check_seed
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
 from neuralgrasps.errors import DataFormatError, InputError
 
 if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
+    from neuralgrasps.hands.hand import Hand
+    from neuralgrasps.objects.object_model import ObjectModel
+
+MADE_HERE = "synthesised"  # folder within a dataset for grasps that its build made
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Given:
+    """What a dataset is built from: grasp sets, and the models and sources of their hands and objects by name."""
+
+    sets: list[GraspSet]
+    hands: Mapping[str, Hand]
+    objects: Mapping[str, ObjectModel]
+    hand_sources: Mapping[str, str]
+    object_sources: Mapping[str, str]
 
 
 def build(
     terminal: Terminal,
-    grasps: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE|DIR ...")],
+    grasps: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[FILE|DIR ...]")] = (),
     /,
     *,
     out: Folder = Path("dataset"),
     hands: Names = (),
     objects: Names = (),
+    count: OptionalInt = None,
+    hold_out: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME ...", help_behavior_hint="(default: none)")] = (),
+    clouds: Literal["none", "exact", "rendered"] = "none",
+    cloud_points: int = 4096,
     unit: Unit = "auto",
     seed: int = 0,
     queries: int = 40_000,
     store_samples: bool = False,
     workers: Workers = None,
 ) -> Outcome:
-    """Build a dataset for training: contact maps, splits, and signed-distance samples.
+    """Build a dataset for training: contact maps, splits, signed-distance samples and point clouds.
 
-    A build that was stopped goes on where it was. Samples are computed when read, unless --store-samples.
+    From grasp files; or from --hands and --objects alone, whose grasps are made first. A build that was stopped goes
+    on where it was. Samples are computed when read, unless --store-samples.
 
     Args:
         grasps: grasp files, or folders of them as `synthesise` writes.
         out: folder of the dataset.
-        hands: files of hands that are not built in and that the grasp files do not name.
-        objects: the same for objects.
+        hands: hands to make grasps of, or all; with grasp files, files of hands that those do not name.
+        objects: the same for objects; ycb7 are the seven of the YCB set.
+        count: grasps wanted per pair where they are made here; 60 if not given.
+        hold_out: hands and objects all of whose grasps are for testing.
+        clouds: store point clouds of object and hand: exact surface samples, or rendered by 128 cameras.
+        cloud_points: points of each cloud.
         unit: length unit of mesh files.
         seed: root of every random number.
         queries: sample points per grasp.
@@ -62,32 +88,106 @@ def build(
 
     check_writable(out, folder=True)
     check_seed(seed)
-    config = DatasetConfig(seed=seed, queries_per_scene=queries, store_samples=store_samples)
-    sets, recorded = read_grasp_files(grasps)
-    empty = [f"{g.hand} on {g.object}" for g in sets if len(g) == 0]
-    sets = [g for g in sets if len(g)]
-    hand_specs = _specs("hand", [g.hand for g in sets], recorded, open_hands(hands), hands)
-    object_specs = _specs("object", [g.object for g in sets], recorded, open_objects(objects, unit=unit), objects)
-    with terminal.progress("reading hands and objects"):
-        hand_models = open_hands(list(hand_specs.values()))
-        object_models = open_objects(list(object_specs.values()), unit=unit)
-    warn_of_damage(terminal, object_models.values())
+    config = DatasetConfig(
+        seed=seed, queries_per_scene=queries, store_samples=store_samples, clouds=clouds, cloud_points=cloud_points
+    )
     terminal.kept = f"Finished pairs are kept in '{out}'; the same command goes on from there."
+    if grasps and count is not None:
+        raise InputError("--count is how many grasps to make, but grasp files are given; leave out one of them.")
+    if grasps:
+        given = _from_files(terminal, grasps, hands, objects, unit)
+    else:
+        given = _synthesised(
+            terminal, out / MADE_HERE, hands, objects, count=60 if count is None else count, seed=seed, unit=unit,
+            workers=workers, hold_out=hold_out,
+        )  # fmt: skip
+    empty = [f"{g.hand} on {g.object}" for g in given.sets if len(g) == 0]
+    sets = [g for g in given.sets if len(g)]
     start = time.perf_counter()
     with terminal.progress("building", "pairs") as bar:
         result = build_dataset(
-            out, sets, hands=hand_models, objects=object_models, config=config,
+            out, sets, hands=given.hands, objects=given.objects, config=config, hold_out=_own_names(hold_out, given),
             workers=workers or available_cpus(), progress=bar,
         )  # fmt: skip
-    write_sources(out, hands=hand_specs, objects=object_specs)
+    write_sources(out, hands=given.hand_sources, objects=given.object_sources)
     scenes = sum(len(g) for g in sets)
     terminal.say(
         f"{counted(scenes, 'grasp')} of {counted(len(sets), 'pair')} in {time.perf_counter() - start:.1f} s: {out}"
     )
-    terminal.facts([("built now", result.built), ("kept from before", result.kept)])
+    held = [*result.manifest.held_out_hands, *result.manifest.held_out_objects]
+    terminal.facts([("built now", result.built), ("kept from before", result.kept), ("held out", ", ".join(held))])
     terminal.notes(empty, title="Left out, for lack of grasps:")
     figures = {"folder": str(out), "pairs": len(sets), "grasps": scenes, "built": result.built, "kept": result.kept}
-    return Outcome(result={**figures, "left_out": empty, "wall_s": time.perf_counter() - start})
+    return Outcome(result={**figures, "held_out": held, "left_out": empty, "wall_s": time.perf_counter() - start})
+
+
+def _from_files(
+    terminal: Terminal, paths: Sequence[Path], hands: Sequence[str], objects: Sequence[str], unit: str
+) -> _Given:
+    sets, recorded = read_grasp_files(paths)
+    used = [g for g in sets if len(g)]
+    hand_specs = _specs("hand", [g.hand for g in used], recorded, open_hands(hands), hands)
+    object_specs = _specs("object", [g.object for g in used], recorded, open_objects(objects, unit=unit), objects)
+    with terminal.progress("reading hands and objects"):
+        hand_models = open_hands(list(hand_specs.values()))
+        object_models = open_objects(list(object_specs.values()), unit=unit)
+    warn_of_damage(terminal, object_models.values())
+    return _Given(
+        sets=sets, hands=hand_models, objects=object_models, hand_sources=hand_specs, object_sources=object_specs
+    )
+
+
+def _synthesised(
+    terminal: Terminal,
+    folder: Path,
+    hands: Sequence[str],
+    objects: Sequence[str],
+    *,
+    count: int,
+    seed: int,
+    unit: str,
+    workers: int | None,
+    hold_out: Sequence[str],
+) -> _Given:
+    """Grasps of every hand on every object, made in `folder` or kept there from an earlier run."""
+    from neuralgrasps.dataset.collect import collect_grasps
+    from neuralgrasps.dataset.splits import sort_held_out
+    from neuralgrasps.hands.zoo import hand_sources
+    from neuralgrasps.objects.zoo import object_sources
+    from neuralgrasps.synthesis.synthesise import SynthesisConfig
+
+    if not objects:
+        raise InputError(
+            "nothing to build from: give grasp files or folders of them, or --objects (and --hands) to make grasps of."
+        )
+    config = SynthesisConfig(count=count)
+    hand_specs, object_specs = hand_sources(hands), object_sources(objects)
+    with terminal.progress("reading hands and objects"):
+        hand_models, object_models = open_hands(hand_specs), open_objects(object_specs, unit=unit)
+    given = _Given(
+        sets=[],
+        hands=hand_models,
+        objects=object_models,
+        hand_sources=dict(zip(hand_models, map(source_text, hand_specs), strict=True)),
+        object_sources=dict(zip(object_models, map(source_text, object_specs), strict=True)),
+    )
+    sort_held_out([(h, o) for h in hand_models for o in object_models], _own_names(hold_out, given))  # before the work
+    warn_of_damage(terminal, object_models.values())
+    warn_of_stand_ins(terminal, given.object_sources, object_models)
+    pairs = f"{counted(len(hand_models), 'hand')} on {counted(len(object_models), 'object')}"
+    with terminal.progress(f"grasps of {pairs}", "pairs") as bar:
+        sets, records = collect_grasps(
+            folder, list(hand_models.values()), list(object_models.values()), config=config, seed=seed,
+            workers=workers, progress=bar,
+        )  # fmt: skip
+    terminal.notes([f"{r.hand} on {r.object}: {r.reason}" for r in records if r.reason], title="Fewer than wanted:")
+    return replace(given, sets=sets)
+
+
+def _own_names(names: Sequence[str], given: _Given) -> list[str]:
+    """Hands and objects as the dataset calls them, where they are named as they were asked for (a YCB id, a file)."""
+    asked = {spec: name for known in (given.hand_sources, given.object_sources) for name, spec in known.items()}
+    return [asked.get(source_text(name), name) for name in names]
 
 
 def read_grasp_files(paths: Sequence[Path]) -> tuple[list[GraspSet], dict[str, dict[str, str]]]:
@@ -146,17 +246,25 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
     size = sum(f.stat().st_size for f in dataset.rglob("*") if f.is_file())
     shards = data.manifest.shards
     samples = f"{config.queries_per_scene} per grasp, " + ("stored" if config.store_samples else "computed when read")
+    clouds = f"{config.clouds}, {config.cloud_points} points each" if config.clouds != "none" else "none stored"
+    held_out = [*data.manifest.held_out_hands, *data.manifest.held_out_objects]
+    splits = {(s.hand, s.object): data.split(s.hand, s.object) for s in shards}
     facts: list[tuple[str, Cell]] = [
         ("folder", str(dataset)),
         ("made with", f"neuralgrasps {data.manifest.library_version}, seed {config.seed}"),
         ("grasps", sum(s.scenes for s in shards)),
         ("samples", samples),
+        ("point clouds", clouds),
+        ("held out", ", ".join(held_out) or "no hand, no object"),
         ("size", f"{size / 1e6:.1f} MB"),
     ]
     terminal.facts(facts)
     terminal.table(
         ("object", "hand", "grasps", "train", "test", "spare"),
-        [(s.object, s.hand, s.scenes, len(s.split.train), len(s.split.test), len(s.split.spare)) for s in shards],
+        [
+            (s.object, s.hand, s.scenes, len(split.train), len(split.test), len(split.spare))
+            for s, split in zip(shards, splits.values(), strict=True)
+        ],
     )
     result = {
         "folder": str(dataset),
@@ -164,6 +272,10 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
         "seed": config.seed,
         "queries_per_grasp": config.queries_per_scene,
         "samples_stored": config.store_samples,
+        "clouds": config.clouds,
+        "cloud_points": config.cloud_points if config.clouds != "none" else 0,
+        "held_out_hands": data.manifest.held_out_hands,
+        "held_out_objects": data.manifest.held_out_objects,
         "size_bytes": size,
         "hands": data.hands,
         "objects": data.objects,
@@ -173,8 +285,8 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
                 "hand": s.hand,
                 "object": s.object,
                 "grasps": s.scenes,
-                "train": len(s.split.train),
-                "test": len(s.split.test),
+                "train": len(splits[s.hand, s.object].train),
+                "test": len(splits[s.hand, s.object].test),
             }
             for s in shards
         ],

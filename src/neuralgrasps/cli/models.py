@@ -57,6 +57,20 @@ def warn_of_damage(terminal: Terminal, objects: Iterable[ObjectModel]) -> None:
             )
 
 
+def warn_of_stand_ins(terminal: Terminal, specs: Mapping[str, str], objects: Mapping[str, ObjectModel]) -> None:
+    """A line on stderr when scans asked for by their YCB ids (`specs` by object name) are not there."""
+    replaced = [
+        spec
+        for name, spec in specs.items()
+        if spec != name and objects[name].provenance.get("source", "").startswith("stand-in for YCB")
+    ]
+    if replaced:
+        terminal.complain(
+            f"note: {', '.join(replaced)}: no scan is here; built-in shapes of the published size stand in. "
+            "Get the scans with: neuralgrasps objects download ycb"
+        )
+
+
 def warn_of_guesses(terminal: Terminal, hands: Iterable[Hand], *, power_share: float | None) -> None:
     """Lines on stderr: what is doubtful about hands read without notes, and options that jaws make no use of."""
     for hand in hands:

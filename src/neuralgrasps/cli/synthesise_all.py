@@ -16,6 +16,7 @@ from neuralgrasps.cli.models import (
     source_text,
     warn_of_damage,
     warn_of_guesses,
+    warn_of_stand_ins,
     write_sources,
 )
 from neuralgrasps.cli.outputs import check_writable
@@ -46,18 +47,19 @@ def synthesise_all(
 ) -> Outcome:
     """Fill `folder`, and write the table of every pair beside the grasps and, when asked for, the page `report`."""
     from neuralgrasps.dataset.collect import collect_grasps
-    from neuralgrasps.hands.zoo import hand_names
+    from neuralgrasps.hands.zoo import hand_sources
     from neuralgrasps.objects.zoo import object_names, object_sources
     from neuralgrasps.report.feasibility import summarise_pair, write_feasibility
 
     check_writable(folder, folder=True)
-    hand_specs, object_specs = tuple(hands) or hand_names(), object_sources(objects or object_names())
+    hand_specs, object_specs = hand_sources(hands), object_sources(objects or object_names())
     with terminal.progress("reading hands and objects"):
         loaded = open_hands(hand_specs)
         models, object_files, skipped = open_readable(
             object_specs, named=tuple(objects) or object_specs, unit=unit, mass_kg=mass_kg
         )
     warn_of_damage(terminal, models.values())
+    warn_of_stand_ins(terminal, object_files, models)
     warn_of_guesses(terminal, loaded.values(), power_share=config.power_share)
     write_sources(
         folder,

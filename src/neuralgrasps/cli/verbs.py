@@ -36,7 +36,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("objects", "import"), "objects:import_mesh", "keep a mesh file under a name"),
     Verb(("objects", "download"), "objects:download", "fetch scanned meshes from their publisher"),
     Verb(("synthesise",), "synthesise:synthesise", "make grasps, each proven in physics"),
-    Verb(("dataset", "build"), "dataset:build", "from grasp files to a dataset for training"),
+    Verb(("dataset", "build"), "dataset:build", "from grasp files, or hands and objects, to a dataset for training"),
     Verb(("dataset", "info"), "dataset:info", "what a dataset holds"),
     Verb(("dataset", "verify"), "dataset:verify", "check every file and some distances of a dataset"),
     Verb(("train",), "train:train", "fit the latent space that all hands share"),

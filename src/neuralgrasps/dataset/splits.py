@@ -86,9 +86,8 @@ def sort_held_out(pairs: Sequence[tuple[str, str]], names: Iterable[str]) -> tup
     Raises:
         UnknownNameError: neither a hand nor an object of the pairs. InputError: as there.
     """
-    names = list(names)
+    names = set(names)
     hands, objects = {h for h, _ in pairs}, {o for _, o in pairs}
-    for name in names:
-        if name not in hands | objects:
-            raise unknown_name("hand or object", name, hands | objects)
-    return check_held_out(pairs, hands=hands & set(names), objects=objects & set(names))
+    for name in sorted(names - hands - objects):
+        raise unknown_name("name", name, hands | objects)
+    return check_held_out(pairs, hands=hands & names, objects=objects & names)

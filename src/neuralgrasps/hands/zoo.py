@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -22,12 +23,18 @@ from neuralgrasps.kinematics.subtree import RobotOutline
 from neuralgrasps.kinematics.urdf import load_urdf, outline_urdf
 
 MissingMeshes = Literal["error", "skip"]
+ALL_HANDS = "all"
 _HANDS = ("fetch", "panda", "barrett", "allegro", "human")
 
 
 def hand_names() -> tuple[str, ...]:
     """Names of the hands that come with the library."""
     return _HANDS
+
+
+def hand_sources(given: Sequence[str]) -> tuple[str, ...]:
+    """Names or paths of hands to load; "all", or nothing, stands for those of `hand_names()`."""
+    return tuple(name for text in given or (ALL_HANDS,) for name in (_HANDS if text == ALL_HANDS else (text,)))
 
 
 def hand_folder(name: str) -> Path:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.geometry.mesh import LengthUnit, load_mesh
@@ -13,6 +14,10 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.store import imported_names, stored_mesh_file, stored_notes
 from neuralgrasps.objects.ycb_facts import YCB_MASSES_KG
 
+OBJECT_GROUPS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"ycb7": tuple(stand_in.ycb_id for stand_in in STAND_INS.values())}  # the objects of Khargonkar et al. 2022
+)
+"""Names that stand for several objects wherever objects are listed."""
 _MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".dae", ".3mf")
 
 
@@ -22,13 +27,16 @@ def object_names() -> tuple[str, ...]:
 
 
 def object_sources(given: Sequence[str]) -> tuple[str, ...]:
-    """Names or paths of objects to load; a folder stands for its mesh files, sorted.
+    """Names or paths of objects to load; a group's name stands for its objects, a folder for its mesh files, sorted.
 
     Raises:
         InputError: a mesh file is missing, a folder holds no mesh, or no object is given.
     """
     sources: list[str] = []
     for text in given:
+        if text in OBJECT_GROUPS:
+            sources += OBJECT_GROUPS[text]
+            continue
         folder = Path(text)
         if folder.suffix.lower() in _MESH_SUFFIXES and not folder.exists():
             raise InputError(f"mesh file '{folder}' does not exist; check the path.")
@@ -40,7 +48,9 @@ def object_sources(given: Sequence[str]) -> tuple[str, ...]:
             raise InputError(f"folder '{folder}' holds no mesh; expected files ending in {', '.join(_MESH_SUFFIXES)}.")
         sources += map(str, found)
     if not sources:
-        raise InputError("no object was given; expected names, mesh files or folders of mesh files.")
+        raise InputError(
+            f"no object was given; expected names, groups ({', '.join(OBJECT_GROUPS)}), mesh files or folders of them."
+        )
     return tuple(sources)
 
 
@@ -70,7 +80,7 @@ def load_object(
         return _from_store(text, stored, mass_kg=mass_kg, friction=friction)
     stand_in = stand_in or find_stand_in(text)
     if stand_in is None:
-        raise unknown_name("object", text, (*object_names(), *(s.ycb_id for s in STAND_INS.values())))
+        raise unknown_name("object", text, (*object_names(), *OBJECT_GROUPS["ycb7"]))
     return _from_stand_in(stand_in, mass_kg=mass_kg, friction=friction)
 
 
