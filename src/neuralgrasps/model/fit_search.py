@@ -17,13 +17,15 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
-from neuralgrasps.model.fit_kernels import FitProblem, fit_starts, score_starts
+from neuralgrasps.model.fit_kernels import FitProblem, fit_cost, fit_hand, fit_starts, score_starts
 from neuralgrasps.model.fit_prior import GraspPrior, posed_points
 
 MIN_NOISE_M = 0.0003  # models and sensors are no better; keeps the priors from vanishing on clean points
 POSTURE_FREEDOM = 5.0
 TOUCH_WIDTH_M = 0.0015
 EFFECTIVE_POINTS = 100.0  # so many independent points is a cloud worth against the priors
+COARSE_WIDTH_M, MIDDLE_WIDTH_M, FINE_WIDTH_M = 0.03, 0.015, 0.006  # distances beyond count linearly
+PRIOR_TRUST = 0.1  # priors weigh so much less with every late round: points decide against them
 EVEN_POINTS = 192  # well spread points kept for the first stages
 SAME_HAND_M = 0.004  # mean distance of matching points below which two fits are the same
 
@@ -58,7 +60,7 @@ class InferConfig:
     fine_iterations: int = 30
     coverage: float = 1.0
     prior: float = 1.0
-    rounds: int = 5
+    rounds: int = 8
     variations: int = 200
     vary_rad: float = 0.3
     vary_m: float = 0.01
@@ -133,13 +135,14 @@ class CloudSearch:
         self.viewpoint_O = viewpoint_O
         self.packed, self.sdf, self.prior, self.config, self.rng = packed, sdf, prior, config, rng
         cloud = rng.permutation(cloud_O) if len(cloud_O) > config.points else cloud_O
+        self.trust = 1.0
         self.cloud = np.ascontiguousarray(cloud[: config.points])
         self.even = np.ascontiguousarray(self.cloud[farthest_points(self.cloud, min(EVEN_POINTS, len(self.cloud)))])
         self.neighbour = KDTree(self.cloud).query(self.cloud, k=8)[1][:, -1]
         self.noise_m = max(config.noise_m if config.noise_m is not None else 0.0015, MIN_NOISE_M)
 
     def problem(self, points_O: np.ndarray, width: float, coverage: float) -> FitProblem:
-        unit = self.config.prior * self.noise_m**2 / EFFECTIVE_POINTS
+        unit = self.trust * self.config.prior * self.noise_m**2 / EFFECTIVE_POINTS
         return FitProblem(
             points_O=points_O,
             width=max(width, 3.0 * self.noise_m),
@@ -167,29 +170,43 @@ class CloudSearch:
         found: list[Fit] = []
         excess, turn = np.inf, 0
         for turn in range(self.config.rounds):
+            self.trust = PRIOR_TRUST ** max(turn - 2, 0)
             if turn == 0:
                 starts = gallery
             else:
                 starts = self.turned(gallery) if turn % 2 else self.varied(gallery, found)
-            found = self.merged(found + self.round(starts))
-            if self.config.noise_m is None:
-                self.noise_m = max(self.estimated_noise(found[0].distance_m), MIN_NOISE_M)
-            excess = float((found[0].distance_m ** 2).mean()) / self.noise_m**2
+            found = self.ranked(found + self.round(starts))
+            excess = self.update_noise(found[0])
             if excess <= self.config.good:
                 break
+        found[0] = self.polished(found[0])
+        excess = self.update_noise(found[0])
         return Search(fits=tuple(found), noise_m=self.noise_m, excess=excess, rounds=turn + 1)
+
+    def update_noise(self, best: Fit) -> float:
+        """Go by the noise that the best fit shows; the variance of its distances in units of the noise's."""
+        shown = self.estimated_noise(best.distance_m)
+        known = self.config.noise_m
+        self.noise_m = max(shown if known is None else known, MIN_NOISE_M)
+        return float((best.distance_m**2).mean()) / max(min(shown, self.noise_m), MIN_NOISE_M) ** 2
+
+    def polished(self, fit: Fit) -> Fit:
+        """Fitted again to all points, with the weights that go with the noise as it is known now."""
+        X, q, c = fit.X_OH.copy(), fit.q.copy(), self.config
+        cost, _, stopped = fit_hand(self.packed, self.problem(self.cloud, FINE_WIDTH_M, 0.0), X, q, c.fine_iterations)
+        return Fit(X_OH=X, q=q, cost=float(cost), distance_m=self.distances(X, q), stopped=bool(stopped))
 
     def round(self, starts: Starts) -> list[Fit]:
         c = self.config
-        problem = self.problem(self.even[: c.coarse_points], 0.03, c.coverage)
+        problem = self.problem(self.even[: c.coarse_points], COARSE_WIDTH_M, c.coverage)
         cost, stopped = np.empty(len(starts)), np.zeros(len(starts), np.bool_)
         score_starts(self.packed, problem, starts.X_OH, starts.q, cost)
         some = starts.take(np.argsort(cost, kind="stable")[: c.starts])
         cost, stopped = np.empty(len(some)), np.zeros(len(some), np.bool_)
         fit_starts(self.packed, problem, some.X_OH, some.q, c.coarse_iterations, cost, stopped)
         for points, width, coverage, keep, steps in (
-            (self.even[: c.middle_points], 0.015, c.coverage, c.middle, c.middle_iterations),
-            (self.cloud, 0.006, 0.0, c.finalists, c.fine_iterations),
+            (self.even[: c.middle_points], MIDDLE_WIDTH_M, c.coverage, c.middle, c.middle_iterations),
+            (self.cloud, FINE_WIDTH_M, 0.0, c.finalists, c.fine_iterations),
         ):
             some = some.take(self.different(some, np.argsort(cost, kind="stable"), keep))
             cost, stopped = np.empty(len(some)), np.zeros(len(some), np.bool_)
@@ -223,9 +240,11 @@ class CloudSearch:
                     break
         return np.array(kept)
 
-    def merged(self, fits: list[Fit]) -> list[Fit]:
-        """Different fits, best first."""
-        fits = sorted(fits, key=lambda f: f.cost)
+    def ranked(self, fits: list[Fit]) -> list[Fit]:
+        """Different fits, the best first by what all are judged by now."""
+        problem = self.problem(self.cloud, FINE_WIDTH_M, 0.0)
+        fits = [replace(f, cost=float(fit_cost(self.packed, problem, f.X_OH, f.q))) for f in fits]
+        fits.sort(key=lambda f: f.cost)
         some = Starts(X_OH=np.stack([f.X_OH for f in fits]), q=np.stack([f.q for f in fits]))
         return [fits[i] for i in self.different(some, np.arange(len(fits)), len(fits))]
 
