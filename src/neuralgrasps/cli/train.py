@@ -17,13 +17,17 @@ def train(
     /,
     *,
     out: Folder = Path("run"),
-    steps: int = 500,
-    batch: int = 48,
-    learning_rate: float = 1.5e-3,
+    steps: int = 2000,
+    batch: int = 64,
+    learning_rate: float = 3e-3,
     seed: int = 0,
+    threads: int = 2,
+    compact: bool = False,
     hands: Names = (),
 ) -> Outcome:
     """Fit the latent space that all hands of a dataset share.
+
+    Training that was stopped goes on where it was, to the same weights.
 
     Args:
         dataset: folder that `dataset build` wrote.
@@ -32,6 +36,8 @@ def train(
         batch: grasps of every hand per step.
         learning_rate: peak of its schedule.
         seed: of weights, batches and noise.
+        threads: of the training; with another number the weights differ in their last digits.
+        compact: store contact maps to 1/255, for a run a quarter of the size.
         hands: files of hands that are not built in and have moved since the dataset was built.
     """
     from neuralgrasps.dataset.read import read_dataset
@@ -40,18 +46,19 @@ def train(
     from neuralgrasps.model.train import train as fit
 
     check_writable(out, folder=True)
-    config = TrainConfig(steps=steps, batch=batch, learning_rate=learning_rate, seed=seed)
+    config = TrainConfig(steps=steps, batch=batch, learning_rate=learning_rate, seed=seed, threads=threads)
     data = read_dataset(dataset)
     with terminal.progress("reading hands and objects"):
         models, objects = dataset_hands(data, hands), dataset_objects(data)
+    terminal.kept = f"Training is kept in '{out}'; the same command goes on from there."
     wall, cpu = time.perf_counter(), time.process_time()
     with terminal.progress("training", "steps") as bar:
         result = fit(
-            data, hands=models, objects=objects, config=config,
+            data, hands=models, objects=objects, config=config, folder=out,
             progress=lambda done, total, loss: bar(done, total, f"loss {loss:.4f}"),
         )  # fmt: skip
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
-    save_run(out, result)
+    save_run(out, result, grasps=[data.grasps(*pair) for pair in data.pairs], compact_maps=compact)
     sources = {name: source_text(spec) for name, spec in _hand_sources(dataset, hands, list(models)).items()}
     write_sources(out, hands=sources, objects={}, dataset=str(dataset.resolve()))
     last = float(result.losses[-50:].mean()) if len(result.losses) else float("nan")
