@@ -33,7 +33,8 @@ class FitProblem(NamedTuple):
     Attributes:
         points_O: (M, 3) points that should lie on the hand's surface, object frame; width: Huber's, beyond it linear.
         material: (K,) surface points of the hand that should have an observed point near; cover: (K,) their weights.
-        seen_O: (S, 3) points that `material` looks for; cover_width: Huber's for them.
+        seen_O: (S, 3) points that `material` looks for; cover_free: metres that are no gap yet; cover_width:
+            Huber's for the rest.
         q_mean: (J,), q_precision: (J, J) inverse covariance of postures; q_freedom: of their t distribution; q_unit:
             square metres per unit of twice its negative logarithm.
         probe: (R,) surface points whose distances to the object are looked at, sorted by link.
@@ -48,6 +49,7 @@ class FitProblem(NamedTuple):
     material: np.ndarray
     cover: np.ndarray
     seen_O: np.ndarray
+    cover_free: float
     cover_width: float
     q_mean: np.ndarray
     q_precision: np.ndarray
@@ -188,15 +190,18 @@ def _cover_rows(packed, problem, X_OH, X_HL, G, h):  # type: ignore[no-untyped-d
             d = dx * dx + dy * dy + dz * dz
             if d < best:
                 best, found = d, m
-        r = math.sqrt(best)
+        gap = math.sqrt(best)
+        if gap <= max(problem.cover_free, 1e-9):
+            continue
+        r = gap - problem.cover_free
         cost, w = _huber(r, problem.cover_width)
         total += weight * cost
-        if r > 1e-9:
-            dx, dy, dz = (ox - problem.seen_O[found, 0]) / r, (oy - problem.seen_O[found, 1]) / r, (oz - problem.seen_O[found, 2]) / r  # fmt: skip
-            nx = X_OH[0, 0] * dx + X_OH[1, 0] * dy + X_OH[2, 0] * dz
-            ny = X_OH[0, 1] * dx + X_OH[1, 1] * dy + X_OH[2, 1] * dz
-            nz = X_OH[0, 2] * dx + X_OH[1, 2] * dy + X_OH[2, 2] * dz
-            _add_row(G[link], h[link], nx, ny, nz, x, y, z, r, weight * w)
+        p = problem.seen_O[found]
+        dx, dy, dz = (ox - p[0]) / gap, (oy - p[1]) / gap, (oz - p[2]) / gap
+        nx = X_OH[0, 0] * dx + X_OH[1, 0] * dy + X_OH[2, 0] * dz
+        ny = X_OH[0, 1] * dx + X_OH[1, 1] * dy + X_OH[2, 1] * dz
+        nz = X_OH[0, 2] * dx + X_OH[1, 2] * dy + X_OH[2, 2] * dz
+        _add_row(G[link], h[link], nx, ny, nz, x, y, z, r, weight * w)
     return total
 
 

@@ -19,6 +19,7 @@ from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
 from neuralgrasps.model.fit_kernels import FitProblem, fit_cost, fit_hand, fit_starts, score_starts
 from neuralgrasps.model.fit_prior import GraspPrior, posed_points
+from neuralgrasps.model.fit_view import visible_points
 
 MIN_NOISE_M = 0.0003  # models and sensors are no better; keeps the priors from vanishing on clean points
 POSTURE_FREEDOM = 5.0
@@ -26,6 +27,7 @@ TOUCH_WIDTH_M = 0.0015
 EFFECTIVE_POINTS = 100.0  # so many independent points is a cloud worth against the priors
 COARSE_WIDTH_M, MIDDLE_WIDTH_M, FINE_WIDTH_M = 0.03, 0.015, 0.006  # distances beyond count linearly
 PRIOR_TRUST = 0.1  # priors weigh so much less with every late round: points decide against them
+GAP_M = 0.006  # observed points of a view lie no farther apart
 EVEN_POINTS = 192  # well spread points kept for the first stages
 SAME_HAND_M = 0.004  # mean distance of matching points below which two fits are the same
 
@@ -42,6 +44,7 @@ class InferConfig:
         coarse_iterations, middle_iterations, fine_iterations: least-squares steps.
         coverage: weight of "every part of the hand has an observed point near it", against 1 for the points; set it
             to 0 for a partial view.
+        view: weight of "hand that the camera must see has an observed point near it", where its place is told.
         prior: weight of what is known of grasps (usual postures, tips touch, nothing goes through the object).
         rounds: at most; later ones only while the points do not fit.
         variations: starts scored per later round; vary_rad, vary_m, vary_joint: their spread (joints: share of range).
@@ -59,13 +62,14 @@ class InferConfig:
     middle_iterations: int = 12
     fine_iterations: int = 30
     coverage: float = 1.0
+    view: float = 1.0
     prior: float = 1.0
     rounds: int = 8
     variations: int = 200
     vary_rad: float = 0.3
     vary_m: float = 0.01
     vary_joint: float = 0.1
-    good: float = 1.4
+    good: float = 1.2
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -138,7 +142,7 @@ class CloudSearch:
         self.trust = 1.0
         self.cloud = np.ascontiguousarray(cloud[: config.points])
         self.even = np.ascontiguousarray(self.cloud[farthest_points(self.cloud, min(EVEN_POINTS, len(self.cloud)))])
-        self.neighbour = KDTree(self.cloud).query(self.cloud, k=8)[1][:, -1]
+        self.neighbour = KDTree(self.cloud).query(self.cloud, k=min(17, len(self.cloud)))[1][:, -1]
         self.noise_m = max(config.noise_m if config.noise_m is not None else 0.0015, MIN_NOISE_M)
 
     def problem(self, points_O: np.ndarray, width: float, coverage: float) -> FitProblem:
@@ -149,6 +153,7 @@ class CloudSearch:
             material=self.prior.material,
             cover=np.full(len(self.prior.material), coverage / len(self.prior.material)),
             seen_O=self.even,
+            cover_free=0.0,
             cover_width=max(width, 3.0 * self.noise_m),
             q_mean=self.prior.q_mean,
             q_precision=self.prior.q_precision,
@@ -193,7 +198,7 @@ class CloudSearch:
     def polished(self, fit: Fit) -> Fit:
         """Fitted again to all points, with the weights that go with the noise as it is known now."""
         X, q, c = fit.X_OH.copy(), fit.q.copy(), self.config
-        cost, _, stopped = fit_hand(self.packed, self.problem(self.cloud, FINE_WIDTH_M, 0.0), X, q, c.fine_iterations)
+        cost, _, stopped = fit_hand(self.packed, self.seen_problem(X, q), X, q, c.fine_iterations)
         return Fit(X_OH=X, q=q, cost=float(cost), distance_m=self.distances(X, q), stopped=bool(stopped))
 
     def round(self, starts: Starts) -> list[Fit]:
@@ -211,10 +216,34 @@ class CloudSearch:
             some = some.take(self.different(some, np.argsort(cost, kind="stable"), keep))
             cost, stopped = np.empty(len(some)), np.zeros(len(some), np.bool_)
             fit_starts(self.packed, self.problem(points, width, coverage), some.X_OH, some.q, steps, cost, stopped)
+        if self.viewpoint_O is not None:
+            for i, (X, q) in enumerate(zip(some.X_OH, some.q, strict=True)):
+                cost[i], _, stopped[i] = fit_hand(self.packed, self.seen_problem(X, q), X, q, c.middle_iterations)
         return [
             Fit(X_OH=X, q=q, cost=float(value), distance_m=self.distances(X, q), stopped=bool(done))
             for X, q, value, done in zip(some.X_OH, some.q, cost, stopped, strict=True)
         ]
+
+    def seen_problem(self, X_OH: np.ndarray, q: np.ndarray) -> FitProblem:
+        """The last problem; with a viewpoint, hand that the camera must have seen here has to have points near."""
+        problem = self.problem(self.cloud, FINE_WIDTH_M, 0.0)
+        if self.viewpoint_O is None:
+            return problem
+        return problem._replace(
+            cover=self.config.view * self.visible(X_OH, q) / len(self.prior.material),
+            seen_O=self.cloud,
+            cover_free=GAP_M + 2.0 * self.noise_m,
+        )
+
+    def visible(self, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """(K,) bool: which of the hand's `material` points the camera sees."""
+        assert self.viewpoint_O is not None
+        chosen, sdf = self.prior.material, self.sdf
+        out = np.zeros(len(chosen), np.bool_)
+        visible_points(
+            self.packed, chosen, X_OH, q, self.viewpoint_O, sdf.values, sdf.origin, sdf.inv_spacing, out
+        )
+        return out
 
     def distances(self, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
         out = np.empty(len(self.cloud))
@@ -242,8 +271,9 @@ class CloudSearch:
 
     def ranked(self, fits: list[Fit]) -> list[Fit]:
         """Different fits, the best first by what all are judged by now."""
-        problem = self.problem(self.cloud, FINE_WIDTH_M, 0.0)
-        fits = [replace(f, cost=float(fit_cost(self.packed, problem, f.X_OH, f.q))) for f in fits]
+        fits = [
+            replace(f, cost=float(fit_cost(self.packed, self.seen_problem(f.X_OH, f.q), f.X_OH, f.q))) for f in fits
+        ]
         fits.sort(key=lambda f: f.cost)
         some = Starts(X_OH=np.stack([f.X_OH for f in fits]), q=np.stack([f.q for f in fits]))
         return [fits[i] for i in self.different(some, np.arange(len(fits)), len(fits))]
