@@ -53,9 +53,9 @@ def test_gradients_match_finite_differences(kind: str) -> None:
             values = []
             with torch.no_grad():
                 for step in (1e-6, -2e-6):
-                    tensor += step * move
+                    tensor.add_(move, alpha=step)
                     values.append((decoder(points, codes) * factors).sum())
-                tensor += 1e-6 * move
+                tensor.add_(move, alpha=1e-6)
             numeric = float(values[0] - values[1]) / 2e-6
             assert float((gradient * move).sum()) == pytest.approx(numeric, rel=1e-4, abs=1e-6)
 

@@ -2,7 +2,7 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +10,20 @@ import pytest
 import torch
 
 from neuralgrasps.dataset.balance import balanced_draw, sign_lists
-from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.errors import DataFormatError, DivergedError, InputError, ShapeError
+from neuralgrasps.model.checkpoint import load_run
 from neuralgrasps.model.losses import variable_margin_triplet
 from neuralgrasps.model.mlp_bench import made_up_scenes
-from neuralgrasps.model.mlp_checkpoint import STATE_FILE, config_of, replay_dump
+from neuralgrasps.model.mlp_checkpoint import config_of, replay_dump, save_dump
 from neuralgrasps.model.mlp_data import ObjectScenes, SceneSamples, object_scenes, scene_samples
 from neuralgrasps.model.mlp_field import MlpConfig
-from neuralgrasps.model.mlp_infer import MlpInferConfig, infer_codes
+from neuralgrasps.model.mlp_infer import ContactTerm, MlpInferConfig, infer_codes, maps_from_samples
 from neuralgrasps.model.mlp_loss import triplet_of_distances
 from neuralgrasps.model.mlp_parallel import Workers, workers_here
+from neuralgrasps.model.mlp_run import free_codebook, load_mlp_run, run_kind, save_mlp_run
 from neuralgrasps.model.mlp_schedule import PAPER, PAPER_FAST, PRESETS, MlpTrainConfig
-from neuralgrasps.model.mlp_train import DivergedError, MlpTrainer, train_mlp
+from neuralgrasps.model.mlp_train import MlpTrainer, train_mlp
+from neuralgrasps.model.train_state import STATE_FILE
 
 SMALL = MlpTrainConfig(
     epochs=8,
@@ -208,8 +211,6 @@ def test_nan_stops_with_a_dump_that_replays(scenes: ObjectScenes, tmp_path: Path
 
 
 def test_a_dump_holds_all_that_the_loss_depends_on(scenes: ObjectScenes, tmp_path: Path) -> None:
-    from neuralgrasps.model.mlp_checkpoint import save_dump  # noqa: PLC0415
-
     for precision in ("bf16", "fp32"):
         trainer = MlpTrainer(scenes, replace(SMALL, precision=precision, code_noise=0.1), HERE)
         for _ in range(2):
@@ -225,7 +226,7 @@ def test_outputs_that_start_outside_the_clamp_still_learn(scenes: ObjectScenes) 
     config = replace(SMALL, epochs=150, decoder=replace(SMALL.decoder, dropout=0.0))
     trainer = MlpTrainer(scenes, config, HERE)
     start = trainer.model(trainer.batch(0), 0, 0, 0.0)
-    assert float(start.sdf) < 0.12  # the library's own start is inside
+    assert float(start.sdf.detach()) < 0.12  # the library's own start is inside
     with torch.no_grad():
         trainer.model.decoder.last.bias.fill_(0.6)
     first = float(trainer.one_step().sdf.detach())
@@ -245,8 +246,6 @@ def test_schedules() -> None:
     factors = [PAPER_FAST.rate_factor(s, 250) for s in range(0, total, max(1, total // 400))]
     assert max(factors) == pytest.approx(1.0, abs=0.02) and factors[0] < 0.1 and factors[-1] < 0.01
     assert set(PRESETS) == {"paper", "paper-fast"}
-    from dataclasses import asdict  # noqa: PLC0415
-
     for config in PRESETS.values():
         assert config_of(json.loads(json.dumps(asdict(config)))) == config
     with pytest.raises(InputError, match="epochs is 0"):
@@ -262,13 +261,69 @@ def test_inference_finds_codes_and_scenes_do_not_matter_to_each_other(scenes: Ob
     assert found.losses.mean() < 0.8 * start.losses.mean()
     one = permuted(scenes, np.array([4]))
     alone = infer_codes(result.field, one.samples, config=how)
-    assert np.allclose(alone.codes[0], found.codes[4], atol=1e-4)
+    assert np.allclose(alone.codes[0], found.codes[4], atol=1e-3)
     nearest = infer_codes(
         result.field, scenes.samples, known=result.codes, config=replace(how, steps=0, start="nearest")
     )
     assert (np.abs(nearest.codes[:, None] - result.codes).sum(axis=2).argmin(axis=1) == np.arange(6)).mean() > 0.6
-    with pytest.raises(InputError, match="needs known codes"):
+    with pytest.raises(InputError, match="without known codes"):
         infer_codes(result.field, scenes.samples, config=replace(how, start="nearest"))
+
+
+def test_maps_are_read_off_samples(small_dataset) -> None:
+    scenes = object_scenes(small_dataset, "brick")
+    stored = small_dataset.object("brick")
+    maps = maps_from_samples(scenes.samples, stored.normalisation.to_unit(stored.points_O))
+    assert np.abs(maps - scenes.contact_maps).mean() < 0.1  # 300 samples around the object
+    between = np.abs(scenes.contact_maps[:, None] - scenes.contact_maps).mean(axis=2)
+    assert (np.abs(maps[:, None] - scenes.contact_maps).mean(axis=2).argmin(axis=1) == np.arange(20)).all()
+    assert between[~np.eye(20, dtype=bool)].min() > 0
+
+
+def test_contact_maps_place_a_code_among_the_known_ones(scenes: ObjectScenes) -> None:
+    many = made_up_scenes(30, 400)
+    config = replace(
+        SMALL,
+        epochs=200,
+        triplets_per_anchor=16,
+        code_rate=0.05,
+        code_std=0.4,
+        decoder=replace(SMALL.decoder, dropout=0.0),
+        schedule="one-cycle",
+    )
+    result = train_mlp(many, config=config, device="cpu")
+    new = made_up_scenes(6, 400, seed=1)
+    by_map = np.linalg.norm(new.contact_maps[:, None] - many.contact_maps, axis=2)
+    how = MlpInferConfig(steps=150, points=64, rate=0.05, schedule="cosine", start_std=0.1)
+    term = ContactTerm(maps=new.contact_maps, known_maps=many.contact_maps)
+    agreement = []
+    for contact in (None, term):
+        codes = infer_codes(result.field, new.samples, known=result.codes, contact=contact, config=how).codes
+        by_code = np.linalg.norm(codes[:, None] - result.codes, axis=2)
+        agreement.append(np.corrcoef(by_code.ravel(), by_map.ravel())[0, 1])
+    assert agreement[1] > 0.9 and agreement[1] > agreement[0]
+    with pytest.raises(ShapeError, match="one row per scene"):
+        infer_codes(result.field, scenes.samples.to("cpu"), known=result.codes[:2], contact=term, config=how)
+
+
+def test_run_round_trip(scenes: ObjectScenes, tmp_path: Path) -> None:
+    config = replace(SMALL, epochs=2, decoder=replace(SMALL.decoder, code_size=128))
+    result = train_mlp(scenes, config=config, device="cpu")
+    book = free_codebook(scenes, result.codes)
+    save_mlp_run(tmp_path, result, book, notes={"minutes": 3})
+    run = load_mlp_run(tmp_path)
+    assert run_kind(tmp_path) == "mlp" and run.config == config and run.notes == {"minutes": 3}
+    assert np.array_equal(run.codebook.metric, result.codes) and run.samples == result.samples
+    points, codes = torch.rand(20, 3) * 0.1, torch.as_tensor(result.codes)
+    a, b = (f(points, codes, hand="ball", object_name="ball").sdf_hand for f in (run.field, result.field))
+    assert torch.equal(a, b)
+    with pytest.raises(DataFormatError, match="version"):
+        load_run(tmp_path, hands={}, objects={})
+    (tmp_path / "codes.safetensors").write_bytes(b"x")
+    with pytest.raises(DataFormatError, match="sha256"):
+        load_mlp_run(tmp_path)
+    with pytest.raises(InputError, match="codes of 128"):
+        free_codebook(scenes, result.codes[:, :8])
 
 
 WORKER = """
@@ -286,13 +341,12 @@ with workers_here("cpu") as workers:
     for _ in range(4):
         trainer.one_step()
     weights = [float(p.detach().double().sum()) for p in trainer.model.parameters()]
-    print(json.dumps({"rank": workers.rank, "count": workers.count, "weights": weights, "batches": batches}), flush=True)
+    told = {"rank": workers.rank, "count": workers.count, "weights": weights, "batches": batches}
+    print(json.dumps(told), flush=True)
 """
 
 
 def test_two_processes_train_one_model_on_different_batches() -> None:
-    from dataclasses import asdict  # noqa: PLC0415
-
     environment = os.environ | {
         "WORLD_SIZE": "2",
         "MASTER_ADDR": "127.0.0.1",

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from neuralgrasps.errors import DataFormatError
@@ -19,9 +18,9 @@ from neuralgrasps.model.mlp_data import ObjectScenes
 from neuralgrasps.model.mlp_field import MlpConfig, MlpDecoder
 from neuralgrasps.model.mlp_loss import Batch, LatentModel
 from neuralgrasps.model.mlp_schedule import MlpTrainConfig
+from neuralgrasps.model.train_state import STATE_FILE, load_training, numpy_arrays, read_tensors, save_training
 from neuralgrasps.tensor_files import tensor_bytes
 
-STATE_FILE = "training.safetensors"
 _VERSION = "1"
 
 
@@ -31,10 +30,6 @@ def config_of(values: dict[str, Any]) -> MlpTrainConfig:
     decoder = dict(rest.pop("decoder"))
     decoder["skip_layers"] = tuple(decoder["skip_layers"])
     return MlpTrainConfig(**rest, decoder=MlpConfig(**decoder))
-
-
-def _arrays(tensors: dict[str, Tensor]) -> dict[str, np.ndarray]:
-    return {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}
 
 
 def _fingerprint(scenes: ObjectScenes) -> str:
@@ -55,17 +50,13 @@ def save_state(
     scenes: ObjectScenes,
 ) -> Path:
     """Write weights, codes, Adam's moments, the step and the losses; whole or not at all."""
-    tensors = {f"model.{name}": value for name, value in model.state_dict().items()}
-    for k, values in optimiser.state_dict()["state"].items():
-        tensors |= {f"adam.{k}.{name}": value for name, value in values.items()}
-    tensors["losses"] = losses
-    metadata = {
+    notes = {
         "version": _VERSION,
         "config": json.dumps(asdict(model.config), sort_keys=True),
         "step": str(step),
         "scenes": _fingerprint(scenes),
     }
-    return write_whole(folder / STATE_FILE, tensor_bytes(_arrays(tensors), metadata))
+    return save_training(folder / STATE_FILE, model, optimiser, tensors={"losses": losses}, notes=notes)
 
 
 def load_state(
@@ -81,28 +72,18 @@ def load_state(
     path = folder / STATE_FILE
     if not path.is_file():
         return None
-    tensors, metadata = _read(path)
-    device = model.codes.device
+    notes = read_tensors(path)[1]
     config = json.dumps(asdict(model.config), sort_keys=True)
     for what, stored, given in (
-        ("configuration", metadata.get("config"), config),
-        ("scenes", metadata.get("scenes"), _fingerprint(scenes)),
+        ("configuration", notes.get("config"), config),
+        ("scenes", notes.get("scenes"), _fingerprint(scenes)),
     ):
         if stored != given:
             raise DataFormatError(
                 f"'{path}' was trained with another {what} than given; resume with the same, or train anew elsewhere."
             )
-    try:
-        model.load_state_dict({k.removeprefix("model."): v for k, v in tensors.items() if k.startswith("model.")})
-        moments: dict[int, dict[str, Tensor]] = {}
-        for name, value in tensors.items():
-            if name.startswith("adam."):
-                _, k, part = name.split(".")
-                moments.setdefault(int(k), {})[part] = value.to(device)
-        optimiser.load_state_dict({"state": moments, "param_groups": optimiser.state_dict()["param_groups"]})
-        return int(metadata["step"]), tensors["losses"]
-    except (KeyError, ValueError, RuntimeError) as error:
-        raise DataFormatError(f"'{path}' lacks an entry: {error}. Train again.") from error
+    losses = load_training(path, model, optimiser)["losses"]
+    return int(notes["step"]), losses
 
 
 def save_dump(folder: Path, model: LatentModel, batch: Batch, *, step: int, rank: int, prior_weight: float) -> Path:
@@ -117,7 +98,7 @@ def save_dump(folder: Path, model: LatentModel, batch: Batch, *, step: int, rank
         "prior_weight": repr(prior_weight),
         "threads": str(torch.get_num_threads()),
     }
-    return write_whole(folder / f"bad_step_{step}_{rank}.safetensors", tensor_bytes(_arrays(tensors), metadata))
+    return write_whole(folder / f"bad_step_{step}_{rank}.safetensors", tensor_bytes(numpy_arrays(tensors), metadata))
 
 
 def replay_dump(path: str | Path) -> Tensor:
@@ -127,7 +108,7 @@ def replay_dump(path: str | Path) -> Tensor:
         DataFormatError: it is not a dump, or damaged.
     """
     path = Path(path)
-    tensors, metadata = _read(path)
+    tensors, metadata = read_tensors(path)
     try:
         config = config_of(json.loads(metadata["config"]))
         codes = tensors["model.codes"]
@@ -139,11 +120,3 @@ def replay_dump(path: str | Path) -> Tensor:
         raise DataFormatError(f"'{path}' is not a dump of a training step: {error}.") from error
     with torch.random.fork_rng():
         return model.train()(batch, step, rank, prior).stacked()
-
-
-def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    try:
-        with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118 - no dict
-    except (SafetensorError, OSError) as error:
-        raise DataFormatError(f"'{path}' is damaged: {error}. Delete it or give another folder.") from error

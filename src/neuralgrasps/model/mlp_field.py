@@ -167,6 +167,7 @@ class MlpField:
 
     Attributes:
         decoder: in normalised units. object_name: the object it knows. clamp_m: distances beyond it were not learned.
+        fast: on processors, products in bf16: several times as fast, distances off by about 0.1 % of the clamp.
     """
 
     def __init__(
@@ -175,6 +176,7 @@ class MlpField:
         self.decoder = decoder.eval()
         self.object_name = object_name
         self.clamp = clamp
+        self.fast = False
         self._normalisation = normalisation
 
     @property
@@ -202,6 +204,7 @@ class MlpField:
             raise ShapeError(f"codes have shape {tuple(codes.shape)}; expected (N, {self.decoder.config.code_size}).")
         points = points_O if points_O.ndim == 3 else points_O.expand(len(codes), *points_O.shape)
         self.decoder.eval()
+        self.decoder.fast = self.fast
         frame = self._normalisation
         offset = torch.as_tensor(frame.offset_O, dtype=points.dtype, device=points.device)
         unit = ((points - offset) / frame.scale_m).to(self.decoder.last.weight.dtype)

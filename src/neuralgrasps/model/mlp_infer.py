@@ -7,13 +7,17 @@ from typing import Literal
 
 import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.model.losses import clamped_l1
 from neuralgrasps.model.mlp_data import SceneSamples
 from neuralgrasps.model.mlp_field import MlpDecoder, MlpField
+from neuralgrasps.model.mlp_loss import triplet_of_distances
 from neuralgrasps.seeds import child_seed
+
+NEAR_SURFACE = 0.01  # samples this near the object's surface (normalised) stand for it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +31,8 @@ class MlpInferConfig:
         prior_weight: of the codes' mean norm.
         start: "zero": near 0 as published; "nearest": the known code that explains the samples best; "mean".
         start_std: of the start codes around it.
+        triplet_weight, triplets: of the training's triplet loss with the scene as anchor, and how many of them in every
+            step; in use when contact maps are given.
     """
 
     seed: int = 0
@@ -38,6 +44,8 @@ class MlpInferConfig:
     start: Literal["zero", "nearest", "mean"] = "zero"
     start_std: float = 0.01
     precision: Literal["bf16", "fp32"] = "bf16"
+    triplet_weight: float = 1.0
+    triplets: int = 64
 
     def __post_init__(self) -> None:
         if self.steps < 0 or self.points < 1:
@@ -59,11 +67,36 @@ class MlpInferResult:
     losses: np.ndarray
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContactTerm:
+    """Contact maps (N, P) of the scenes, as far as they are known, and true ones (K, P) of the known codes."""
+
+    maps: np.ndarray
+    known_maps: np.ndarray
+
+
+def maps_from_samples(samples: SceneSamples, points_unit: np.ndarray, *, decay: float = 0.05) -> np.ndarray:
+    """Contact maps (N, P) float32 read off SDF samples: closeness of the hand at the nearest sample of the surface.
+
+    Args:
+        points_unit: (P, 3) the object's contact points, normalised units.
+        decay: length of the closeness, normalised units.
+    """
+    maps = np.empty((len(samples), len(points_unit)), np.float32)
+    for i, rows in enumerate(samples.rows.cpu().numpy()):
+        order = np.argsort(np.abs(rows[:, 3]), kind="stable")
+        near = rows[order[: max(int((np.abs(rows[:, 3]) < NEAR_SURFACE).sum()), 1)]]
+        nearest = KDTree(near[:, :3]).query(points_unit)[1]
+        maps[i] = np.exp(-np.maximum(near[nearest, 4], 0.0) / decay)
+    return maps
+
+
 def infer_codes(
     field: MlpField,
     samples: SceneSamples,
     *,
     known: np.ndarray | None = None,
+    contact: ContactTerm | None = None,
     config: MlpInferConfig | None = None,
 ) -> MlpInferResult:
     """Codes of N scenes from their SDF samples; all scenes at once, weights fixed, dropout off, as published 800 steps.
@@ -71,7 +104,9 @@ def infer_codes(
     A scene's result does not depend on the others. `samples` is on the field's device or is copied there.
 
     Args:
-        known: (K, D) codes of training scenes; needed by `start` "nearest" and "mean".
+        known: (K, D) codes of training scenes; needed by `contact`, and by `start` "nearest" and "mean".
+        contact: adds the loss that placed the known codes, so that distances to them follow the contact maps. Without
+            it the loss is the published one: SDF and prior.
     Raises:
         InputError: `known` is missing; ShapeError: it does not fit the field.
 
@@ -82,13 +117,18 @@ def infer_codes(
     size = field.decoder.config.code_size
     if known is not None and (known.ndim != 2 or known.shape[1] != size):
         raise ShapeError(f"known codes have shape {known.shape}; expected (K, {size}).")
-    if known is None and config.start != "zero":
-        raise InputError(f"start '{config.start}' needs known codes; give the training codes or start at 'zero'.")
+    if known is None and (config.start != "zero" or contact is not None):
+        what = "contact maps" if contact is not None else f"start '{config.start}'"
+        raise InputError(f"{what} cannot be used without known codes; give the codes of the training scenes.")
+    if contact is not None and (contact.maps.shape[0], contact.known_maps.shape[0]) != (len(samples), len(known)):  # type: ignore[arg-type]
+        got = f"maps {contact.maps.shape}, known_maps {contact.known_maps.shape}"
+        raise ShapeError(f"{got}; expected one row per scene ({len(samples)}) and per known code.")
     samples = samples.to(field.device)
     decoder = field.decoder.eval()
-    decoder.fast = config.precision == "bf16"
+    was_fast, decoder.fast = decoder.fast, config.precision == "bf16"
     start = _start_codes(field, samples, known, config)
     codes = start.clone().requires_grad_()
+    pull = _Pull(contact, known, config, field.device) if contact is not None and known is not None else None
     optimiser = torch.optim.Adam([codes], lr=config.rate)
     for step in range(config.steps):
         optimiser.param_groups[0]["lr"] = config.rate * _factor(step, config)
@@ -98,12 +138,36 @@ def infer_codes(
         loss = (2.0 * len(rows) * clamped_l1(out, rows[..., 3:], clamp=field.clamp)) + (
             config.prior_weight * codes.norm(dim=-1).sum()
         )
+        if pull is not None:
+            loss = loss + config.triplet_weight * pull.loss(codes, step)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
     with torch.no_grad():
         losses = _scene_losses(field, samples, codes, config)
+    decoder.fast = was_fast
     return MlpInferResult(codes=codes.detach().cpu().numpy(), losses=losses.cpu().numpy())
+
+
+class _Pull:
+    """The triplet loss of codes to be found against known ones."""
+
+    def __init__(self, contact: ContactTerm, known: np.ndarray, config: MlpInferConfig, device: torch.device) -> None:
+        self.known = torch.as_tensor(known, dtype=torch.float32, device=device)
+        maps, known_maps = (torch.as_tensor(m, device=device) for m in (contact.maps, contact.known_maps))
+        self.distances = torch.cdist(maps, known_maps, compute_mode="donot_use_mm_for_euclid_dist")
+        self.config = config
+
+    def loss(self, codes: Tensor, step: int) -> Tensor:
+        """Sum over scenes of the mean over triplets; all scenes use the same pairs of known codes."""
+        config, count = self.config, len(self.known)
+        generator = torch.Generator(device=codes.device).manual_seed(child_seed(config.seed, "triplets", step))
+        first, second = torch.randint(count, (2, config.triplets), generator=generator, device=codes.device)
+        scene = torch.arange(len(codes), device=codes.device).repeat_interleave(config.triplets)
+        first, second = first.repeat(len(codes)) + len(codes), second.repeat(len(codes)) + len(codes)
+        every = torch.cat([codes, self.known])
+        maps = self.distances[scene, first - len(codes)], self.distances[scene, second - len(codes)]
+        return len(codes) * triplet_of_distances(every, scene, first, second, *maps)
 
 
 def _factor(step: int, config: MlpInferConfig) -> float:

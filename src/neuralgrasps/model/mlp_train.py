@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from neuralgrasps.errors import NeuralGraspsError
+from neuralgrasps.errors import DivergedError
 from neuralgrasps.model.mlp_checkpoint import load_state, save_dump, save_state
 from neuralgrasps.model.mlp_data import ObjectScenes
 from neuralgrasps.model.mlp_field import MlpDecoder, MlpField
@@ -26,10 +26,6 @@ Progress = Callable[[int, int, float], None]
 """Called as progress(steps done, all steps, latest loss)."""
 
 RECALIBRATION_BATCHES = 40
-
-
-class DivergedError(NeuralGraspsError, ArithmeticError):
-    """The loss is not a number any more; the message names the dump that replays the step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
