@@ -16,32 +16,21 @@ from neuralgrasps.apply.novel_codes import (
     midpoint_codes,
     noisy_codes,
 )
-from neuralgrasps.apply.novel_trial import HELD, NOT_HELD, NOVEL_OUTCOMES, NovelConfig, Trials, try_decoded
+from neuralgrasps.apply.novel_trial import (
+    HELD,
+    NOT_HELD,
+    NOVEL_OUTCOMES,
+    DecodedCodes,
+    NovelConfig,
+    Trials,
+    try_decoded,
+)
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.model.codes import CONTACT_BLOCK, CodeBook
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.synthesis.select import grasp_features
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecodedCodes:
-    """Codes of one hand on one object, decoded.
-
-    Attributes:
-        codes: N codes; their `source` and `neighbour` are rows of the code book.
-        X_OH: (N, 4, 4); q: (N, J) that they decode to.
-        known_X_OH: (M, 4, 4); known_q: (M, J) of the known grasps they were made from.
-        seed: of this hand and object.
-    """
-
-    codes: SampledCodes
-    X_OH: np.ndarray
-    q: np.ndarray
-    known_X_OH: np.ndarray
-    known_q: np.ndarray
-    seed: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,10 +101,8 @@ def novel_grasps(
     config = config or NovelConfig()
     decoded = decode_novel(field, codebook, hand=hand, object_name=object_name, config=config, seed=seed)
     trials = try_decoded(
-        field.hand(hand), field.object(object_name), decoded.X_OH, decoded.q, config=config, seed=decoded.seed,
-        threads=threads,
-        progress=progress,
-    )  # fmt: skip
+        field.hand(hand), field.object(object_name), decoded, config=config, threads=threads, progress=progress
+    )
     return judge_novel(field, decoded, trials, config=config, seed=seed)
 
 

@@ -13,16 +13,16 @@ import numpy as np
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.synthesis.candidates import VALID, Candidates, GraspProblem, close_and_assess
+from neuralgrasps.synthesis.candidates import Candidates, GraspProblem, close_and_assess
 from neuralgrasps.synthesis.settle import TOLERANCE_M, draw_apart
 
 LARGEST_RETREAT_M = 0.03
 CLOSING_OVERLAP_M = 0.003  # that closing may leave; settling takes it away
 _RETREAT_M = 0.003  # at once, along the approach
 _ROUNDS = 4  # of drawing apart before each step back
-CHILDREN = 8  # variations that are tried before the best of them is varied again
-SHIFT_M, TURN_RAD, CURL = 0.006, 0.1, 0.05  # standard deviations of the first variations; curl in shares of the range
-_SHRINK = 0.7
+CHILDREN = 8  # variations that are tried before the best so far is varied further
+SHIFT_M, TURN_RAD, CURL = 0.006, 0.1, 0.05  # standard deviations of variations at scale 1; curl in shares of the range
+FIRST_SCALE, _GROWTH = 0.5, 1.3
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -84,25 +84,32 @@ def vary(
 
 
 def best_variation(
-    problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, *, search: int, rng: np.random.Generator
+    problem: GraspProblem,
+    X_OH: np.ndarray,
+    q: np.ndarray,
+    *,
+    search: int,
+    enough: float,
+    rng: np.random.Generator,
 ) -> tuple[Candidates, float]:
-    """The decoded hand freed and closed, or the best by epsilon of it and `search` variations; and the overlap left.
+    """The decoded hand freed and closed, or a better variation of it; and the overlap that freeing left, metres.
 
-    Variations come in rounds of `CHILDREN` around the best hand so far, each round nearer to it than the last.
+    Where its epsilon is below `enough`, up to `search` variations are closed too, in rounds of `CHILDREN` around the
+    best hand so far, each round wider than the last, until one has enough: a good grasp stays where its code put it.
 
     Args:
         X_OH: (4, 4); q: (J,) as decoded. search: 0 = only the decoded hand.
     """
     best, left = free_and_close(problem, X_OH[None], q[None])
-    overlap, seed_X, seed_q, scale = float(left[0]), X_OH, q, 1.0
-    while search > 0:
+    overlap, seed_X, seed_q, scale = float(left[0]), X_OH, q, FIRST_SCALE
+    while search > 0 and best.epsilon[0] < enough:
         count = min(search, CHILDREN)
         search -= count
         X_try, q_try = vary(problem.hand, seed_X, seed_q, scale=scale, rng=rng, count=count)
         tried, left = free_and_close(problem, X_try, q_try)
         winner = int(tried.epsilon.argmax())
-        if tried.outcome[winner] == VALID and tried.epsilon[winner] > best.epsilon[0]:
+        if tried.epsilon[winner] > best.epsilon[0]:
             best = tried.take(np.array([winner]))
             overlap, seed_X, seed_q = float(left[winner]), X_try[winner], q_try[winner]
-        scale *= _SHRINK
+        scale *= _GROWTH
     return best, overlap

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
 
-from neuralgrasps.apply.novel_close import best_variation
+from neuralgrasps.apply.novel_align import turn_flush
+from neuralgrasps.apply.novel_close import best_variation, free_and_close
+from neuralgrasps.apply.novel_codes import SampledCodes
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.grasps.grasp_set import GraspSet, concatenate, empty_grasps
 from neuralgrasps.hands.hand import Hand
@@ -34,6 +37,7 @@ from neuralgrasps.synthesis.synthesise import SynthesisConfig
 Kind = Literal["noise", "midpoint", "sample", "gaussian"]
 # What became of a code, from first to last obstacle.
 PENETRATING, NOT_CLOSED, NOT_FORCE_CLOSURE, NOT_HELD, HELD = range(5)
+ENOUGH = 0.5  # share of the median epsilon of known grasps: a hand that closes to it is not varied
 NOVEL_OUTCOMES = ("penetrating", "not closed", "no force closure", "not held", "held")
 
 
@@ -46,8 +50,8 @@ class NovelConfig:
             from a kernel density over known codes; "gaussian": from one Gaussian over them.
         count: codes. spread: of the noise, in standard deviations of the known codes, component by component.
         share: of the way from a code to its neighbour.
-        search: variations of a decoded hand that are closed too; the one of largest epsilon goes into physics. 0: one
-            decoding, one closing, one trial per code. There is one trial per code in any case.
+        search: most variations of a decoded hand that are closed too, where it closes to less than `ENOUGH`; the one of
+            largest epsilon goes into physics. 0: what is decoded is closed. One trial per code in any case.
         noise_level: told to the decoder; above 0 its trained network moves the code towards known grasps first.
         protocol: physics protocol that decides.
     Raises:
@@ -77,6 +81,25 @@ class NovelConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DecodedCodes:
+    """Codes of one hand on one object, decoded.
+
+    Attributes:
+        codes: N codes; their `source` and `neighbour` are rows of the code book.
+        X_OH: (N, 4, 4); q: (N, J) that they decode to.
+        known_X_OH: (M, 4, 4); known_q: (M, J) of the known grasps they were made from.
+        seed: of this hand and object.
+    """
+
+    codes: SampledCodes
+    X_OH: np.ndarray
+    q: np.ndarray
+    known_X_OH: np.ndarray
+    known_q: np.ndarray
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Trials:
     """What became of N decoded hands.
 
@@ -94,43 +117,47 @@ class Trials:
 def try_decoded(
     hand: Hand,
     obj: ObjectModel,
-    X_OH: np.ndarray,
-    q: np.ndarray,
+    decoded: DecodedCodes,
     *,
     config: NovelConfig,
-    seed: int,
     threads: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Trials:
     """Close, judge, settle and squeeze N decoded hands, and try each once in physics.
 
+    A hand that does not reach force closure is turned flush with what it touches and closed once more.
+
     Args:
-        X_OH: (N, 4, 4); q: (N, J) as decoded. seed: of the variations, if `config.search` asks for any.
         threads: of the physics trials; the result does not depend on it.
         progress: called with (hands closed, N).
     """
     problem = novel_problem(hand, obj, config.protocol)
-    count = len(q)
+    count, enough = len(decoded.q), 0.0
+    if config.search:
+        known, _ = free_and_close(problem, decoded.known_X_OH, decoded.known_q)
+        enough = ENOUGH * float(np.median(known.epsilon))
     outcome, place = np.empty(count, np.int8), np.full(count, -1, np.int64)
     finished: list[GraspSet] = []
     texts = {f"novel_{name}": str(value) for name, value in asdict(config).items()}
+    finish = partial(finish_grasps, problem, protocol=config.protocol, seed=decoded.seed, config=texts)
     for i in range(count):
         best, overlap = best_variation(
-            problem, X_OH[i], q[i], search=config.search, rng=child_rng(seed, "variations", i)
-        )
+            problem, decoded.X_OH[i], decoded.q[i], search=config.search, enough=enough,
+            rng=child_rng(decoded.seed, "variations", i),
+        )  # fmt: skip
+        outcome[i], one = _finished(problem, best, overlap, finish)
+        if outcome[i] in (NOT_CLOSED, NOT_FORCE_CLOSURE):
+            X_OH = turn_flush(problem, best.X_OH[0], best.q[0])
+            flush, left = free_and_close(problem, X_OH[None], best.q)
+            again, one = _finished(problem, flush, float(left[0]), finish)
+            outcome[i] = again if again == NOT_HELD else outcome[i]
+        if len(one):
+            place[i] = len(finished)
+            finished.append(one)
         if progress is not None:
             progress(i + 1, count)
-        outcome[i] = _failure(int(best.outcome[0]), overlap)
-        if outcome[i] != NOT_HELD:
-            continue
-        one = finish_grasps(problem, best, protocol=config.protocol, seed=seed, config=texts)
-        if len(one) == 0:
-            outcome[i] = _why_dropped(problem, best)
-            continue
-        place[i] = len(finished)
-        finished.append(one)
     if not finished:
-        none = empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
+        none = empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=decoded.seed)
         return Trials(outcome=outcome, grasps=none.with_config(**texts), place=place)
     grasps = concatenate(finished)
     verdict = validate_grasps(hand, obj, grasps, config.protocol, threads=threads)
@@ -148,18 +175,21 @@ def novel_problem(hand: Hand, obj: ObjectModel, protocol: str) -> GraspProblem:
     )  # fmt: skip
 
 
-def _failure(closed: int, overlap_m: float) -> int:
-    """What stopped a closed hand, or NOT_HELD when nothing did so far."""
-    if closed == VALID:
-        return NOT_HELD
-    if closed == NO_FORCE_CLOSURE:
-        return NOT_FORCE_CLOSURE
-    if closed == FEW_CONTACTS or (closed == COLLIDES and overlap_m <= START_OVERLAP_M):
-        return NOT_CLOSED
-    return PENETRATING
-
-
-def _why_dropped(problem: GraspProblem, closed: Candidates) -> int:
-    settled, _ = settle(problem, closed)
-    overlaps = settled.penetration_m[0] > problem.max_penetration_m
-    return PENETRATING if overlaps else NOT_FORCE_CLOSURE
+def _finished(
+    problem: GraspProblem, closed: Candidates, overlap_m: float, finish: Callable[[Candidates], GraspSet]
+) -> tuple[int, GraspSet]:
+    """What stopped one closed hand, or NOT_HELD when nothing did so far and its grasp; `overlap_m` before closing."""
+    none = empty_grasps(problem.hand.name, problem.obj.name, num_joints=problem.hand.num_dofs)
+    stopped = int(closed.outcome[0])
+    if stopped == VALID:
+        grasp = finish(closed)
+        if len(grasp):
+            return NOT_HELD, grasp
+        settled, _ = settle(problem, closed)
+        overlaps = settled.penetration_m[0] > problem.max_penetration_m
+        return PENETRATING if overlaps else NOT_FORCE_CLOSURE, none
+    if stopped == NO_FORCE_CLOSURE:
+        return NOT_FORCE_CLOSURE, none
+    if stopped == FEW_CONTACTS or (stopped == COLLIDES and overlap_m <= START_OVERLAP_M):
+        return NOT_CLOSED, none
+    return PENETRATING, none

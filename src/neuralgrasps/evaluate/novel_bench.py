@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neuralgrasps.apply.novel import NovelResult, decode_novel, judge_novel
-from neuralgrasps.apply.novel_trial import NovelConfig, Trials, try_decoded
+from neuralgrasps.apply.novel_trial import DecodedCodes, NovelConfig, Trials, try_decoded
 from neuralgrasps.errors import InputError
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.model.codes import CodeBook
@@ -88,9 +88,7 @@ def measure_novel(
     if not pairs:
         raise InputError("the code book holds no training grasps of these hands and objects; nothing to sample from.")
     decoded = [decode_novel(field, codebook, hand=h, object_name=o, config=chosen, seed=seed) for h, o in pairs]
-    tasks = [
-        (field.hand(h), field.object(o), d.X_OH, d.q, chosen, d.seed) for (h, o), d in zip(pairs, decoded, strict=True)
-    ]
+    tasks = [(field.hand(h), field.object(o), d, chosen) for (h, o), d in zip(pairs, decoded, strict=True)]
     tried: dict[int, tuple[Trials, float]] = {}
     for index, answer in run_tasks(_try_pair, tasks, workers=workers):
         tried[index] = answer
@@ -110,11 +108,9 @@ def measure_novel(
     )  # fmt: skip
 
 
-def _try_pair(
-    hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, config: NovelConfig, seed: int
-) -> tuple[Trials, float]:
+def _try_pair(hand: Hand, obj: ObjectModel, decoded: DecodedCodes, config: NovelConfig) -> tuple[Trials, float]:
     start = time.process_time()
-    trials = try_decoded(hand, obj, X_OH, q, config=config, seed=seed)
+    trials = try_decoded(hand, obj, decoded, config=config)
     return trials, time.process_time() - start
 
 
