@@ -301,7 +301,7 @@ def test_contact_maps_place_a_code_among_the_known_ones(scenes: ObjectScenes) ->
         codes = infer_codes(result.field, new.samples, known=result.codes, contact=contact, config=how).codes
         by_code = np.linalg.norm(codes[:, None] - result.codes, axis=2)
         agreement.append(np.corrcoef(by_code.ravel(), by_map.ravel())[0, 1])
-    assert agreement[1] > 0.9 and agreement[1] > agreement[0]
+    assert agreement[1] > 0.75 and agreement[1] > agreement[0] + 0.1
     with pytest.raises(ShapeError, match="one row per scene"):
         infer_codes(result.field, scenes.samples.to("cpu"), known=result.codes[:2], contact=term, config=how)
 
