@@ -8,14 +8,22 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from neuralgrasps.cli.options import AllNames, OptionalFile, OptionalInt, Workers, check_seed
+from neuralgrasps.cli.options import (
+    AllNames,
+    OptionalFile,
+    OptionalFolder,
+    OptionalInt,
+    OptionalText,
+    Workers,
+    check_seed,
+)
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
 
 def bench(
     terminal: Terminal,
-    name: Annotated[Literal["demo", "synthesis"], tyro.conf.Positional],
+    name: Annotated[Literal["demo", "synthesis", "latent"], tyro.conf.Positional],
     /,
     *,
     objects: AllNames = (),
@@ -25,20 +33,28 @@ def bench(
     workers: Workers = None,
     quick: bool = False,
     unseen_hand: OptionalFile = None,
+    run: OptionalText = None,
+    grasps: OptionalFolder = None,
 ) -> Outcome:
     """Run a benchmark and print its figures; with --json as one object {name, machine, config, figures, ...}.
 
     Args:
-        name: demo, the whole path into a temporary folder; or synthesis, speed and quality of grasps pair by pair.
-        objects: names, mesh files or folders of mesh files; default the three objects of the demo, or all built-in.
+        name: demo, the whole path into a temporary folder; synthesis, speed and quality of grasps pair by pair; or
+            latent, cost and quality of the latent space.
+        objects: names, mesh files or folders of mesh files; default the three objects of the demo, or all built-in;
+            latent: the seven scans where they were imported or downloaded.
         hands: default the five built-in hands.
-        count: grasps per hand and object; default 24 in demo, 60 in synthesis.
+        count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent.
         seed: root of every random number.
         workers: processes.
-        quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects.
+        quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects; latent: the shipped run, and
+            two objects trained anew.
         unseen_hand: synthesis: also time 20 grasps of the soup can by this URDF or MJCF in a fresh process.
+        run: latent: measure this run, by folder or shipped name, and train two of its objects anew.
+        grasps: latent: folder of grasps; those of all pairs are made there first unless they are.
     """
     from neuralgrasps.cli.bench_demo import bench_demo
+    from neuralgrasps.cli.bench_latent import bench_latent
     from neuralgrasps.cli.bench_synthesis import bench_synthesis
 
     check_seed(seed)
@@ -47,11 +63,15 @@ def bench(
     options: dict[str, Any] = {
         "objects": objects, "hands": hands, "count": count, "seed": seed, "workers": workers, "quick": quick,
     }  # fmt: skip
+    if unseen_hand is not None and name != "synthesis":
+        raise InputError(f"--unseen-hand is of 'bench synthesis'; 'bench {name}' takes every hand with --hands.")
+    if name != "latent" and (run is not None or grasps is not None):
+        raise InputError(f"--run and --grasps are of 'bench latent'; 'bench {name}' makes its own.")
     measured_on = machine()
     if name == "demo":
-        if unseen_hand is not None:
-            raise InputError("--unseen-hand is of 'bench synthesis'; 'bench demo' takes every hand with --hands.")
         result = bench_demo(terminal, **options)
+    elif name == "latent":
+        result = bench_latent(terminal, **options, run=run, grasps=grasps)
     else:
         result = bench_synthesis(terminal, **options, unseen_hand=unseen_hand)
     terminal.table(("figure", "value"), [(key, float(value)) for key, value in result["figures"].items()])

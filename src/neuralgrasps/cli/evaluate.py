@@ -49,7 +49,7 @@ def evaluate(
     measured against the true mesh.
 
     Args:
-        path: folder of a run or dataset, or a grasp file or folder of them.
+        path: folder of a run or dataset, name of a shipped run, or a grasp file or folder of them.
         part: of a run: unseen grasps, training grasps, or both.
         queries: of a run: points asked per grasp by the published Chamfer measure.
         observed: of a run: also find the unseen grasps again from observed points.
@@ -59,13 +59,12 @@ def evaluate(
         hands: files of hands that are not built in and have moved.
         objects: files of objects that are not built in and have moved.
     """
-    if (path / "run.json").is_file():
+    run = _run_at(path)
+    if run is not None:
         from neuralgrasps.cli.evaluate_run import RunOptions, evaluate_run
 
-        options = RunOptions(
-            part=part, queries=queries, observed=observed, report=report, seed=seed, workers=workers
-        )
-        return evaluate_run(terminal, path, options, hands=hands, objects=objects)
+        options = RunOptions(part=part, queries=queries, observed=observed, report=report, seed=seed, workers=workers)
+        return evaluate_run(terminal, run, options, hands=hands, objects=objects)
     if report is not None:
         raise InputError(f"--report is of runs; '{path}' holds no run.json. Give the folder that `train` wrote.")
     if (path / "manifest.json").is_file():
@@ -73,6 +72,17 @@ def evaluate(
     if not path.exists():
         raise InputError(f"'{path}' does not exist; expected a run, a dataset or a grasp file.")
     return _evaluate_grasps(terminal, path, hands, objects)
+
+
+def _run_at(path: Path) -> Path | None:
+    """The folder of a run, or of the shipped run of that name; None when it is something else."""
+    if (path / "run.json").is_file():
+        return path
+    if path.exists():
+        return None
+    from neuralgrasps.model.checkpoint import run_folder, shipped_runs
+
+    return run_folder(path) if str(path) in shipped_runs() else None
 
 
 def open_run(folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Run:

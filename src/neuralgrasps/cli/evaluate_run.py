@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from neuralgrasps.cli.options import check_seed
 from neuralgrasps.cli.outputs import check_writable, make_parent
@@ -42,12 +42,15 @@ def evaluate_run(
     from neuralgrasps.cli.evaluate import open_run
     from neuralgrasps.evaluate.run_evaluate import evaluate_run as measure
     from neuralgrasps.evaluate.run_pairs import MeasureConfig
+    from neuralgrasps.model.mlp_run import run_kind
 
     check_seed(options.seed)
     if options.queries < 1000:
         raise InputError(f"--queries is {options.queries}; expected at least 1000, so that some lie inside the hands.")
     if options.report is not None:
         check_writable(options.report)
+    if run_kind(folder) == "mlp":
+        return _finish(terminal, folder, _measure_mlp(terminal, folder, options, hands, objects))
     with terminal.progress("reading the run"):
         run = open_run(folder, hands, objects)
         grasps = grasps_of(run, folder)
@@ -57,22 +60,50 @@ def evaluate_run(
             run.field, run.codebook, grasps, part=options.part, config=config, workers=options.workers,
             progress=bar.stage,
         )  # fmt: skip
+    outcome = _finish(terminal, folder, scores)
+    if options.report is None:
+        return outcome
+    from neuralgrasps.report.evaluation_page import write_evaluation
+
+    make_parent(options.report)
+    with terminal.progress("pictures", "pictures") as bar:
+        page = write_evaluation(
+            options.report, scores, run.field, run.codebook, grasps, command=terminal.command, seed=options.seed,
+            workers=options.workers, progress=bar,
+        )  # fmt: skip
+    terminal.say(f"page: {page}")
+    return Outcome(result={**outcome.result, "report": str(page)})
+
+
+def _finish(terminal: Terminal, folder: Path, scores: RunScores) -> Outcome:
+    """Show every table; the rows as the result."""
     for part, given in scores.parts_and_inputs:
         show(terminal, scores, part, given)
     terminal.say(NOT_ITS_DATA)
-    result: dict[str, Any] = {"folder": str(folder), **scores.record(), "comparison": NOT_ITS_DATA}
-    if options.report is not None:
-        from neuralgrasps.report.evaluation_page import write_evaluation
+    return Outcome(result={"folder": str(folder), **scores.record(), "comparison": NOT_ITS_DATA})
 
-        make_parent(options.report)
-        with terminal.progress("pictures", "pictures") as bar:
-            page = write_evaluation(
-                options.report, scores, run.field, run.codebook, grasps, command=terminal.command, seed=options.seed,
-                workers=options.workers, progress=bar,
-            )  # fmt: skip
-        terminal.say(f"page: {page}")
-        result["report"] = str(page)
-    return Outcome(result=result)
+
+def _measure_mlp(
+    terminal: Terminal, folder: Path, options: RunOptions, hands: tuple[str, ...], objects: tuple[str, ...]
+) -> RunScores:
+    """Tables of a published field: one object, its own codes."""
+    from neuralgrasps.cli.models import hands_of, run_objects
+    from neuralgrasps.evaluate.run_mlp import evaluate_mlp_run
+    from neuralgrasps.evaluate.run_pairs import MeasureConfig
+    from neuralgrasps.hands.packed import pack_hand
+    from neuralgrasps.model.kinematic_field import POINT_SPACING_M
+    from neuralgrasps.model.mlp_run import load_mlp_run
+
+    if options.report is not None:
+        raise InputError("--report is of runs of the default field; for a run of the published one, use --json.")
+    with terminal.progress("reading the run"):
+        run = load_mlp_run(folder)
+        name = run.field.object_name
+        models, obj = hands_of(run.codebook.hands, folder, hands), run_objects(folder, [name], objects)[name]
+    packed = {hand: pack_hand(model, spacing=POINT_SPACING_M) for hand, model in models.items()}
+    config = MeasureConfig(queries=options.queries, per_pair=1, seed=options.seed)
+    with terminal.progress("measuring") as bar:
+        return evaluate_mlp_run(run, packed, obj, part=options.part, config=config, progress=bar.stage)
 
 
 def grasps_of(run: Run, folder: Path) -> Mapping[tuple[str, str], GraspSet]:
@@ -143,7 +174,9 @@ def _show_surfaces(terminal: Terminal, scores: RunScores, part: str, given: str)
                 sum(r.wrong for r in own), None if own[0].infer_ms is None else f"{mean('infer_ms'):.0f}",
             ]
         )  # fmt: skip
-    terminal.say("Hand surface to true surface, both ways; F-scores; mean |difference| of contact maps; wrong by over 10 mm:")
+    terminal.say(
+        "Hand surface to true surface, both ways; F-scores; mean |difference| of contact maps; wrong by over 10 mm:"
+    )
     terminal.table(columns, body)
 
 

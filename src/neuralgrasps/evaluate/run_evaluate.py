@@ -93,9 +93,7 @@ def _tasks(
             if part == "train" and len(rows) > config.per_pair:
                 rows = rows[np.unique(np.linspace(0, len(rows) - 1, config.per_pair).astype(int))]
             chosen = grasps[hand, name][rows.grasp_index.astype(np.int64)]
-            tasks.append(
-                PairTask(field=_only(field, hand, name), part=part, book=rows, gallery=gallery, grasps=chosen)
-            )
+            tasks.append(PairTask(field=_only(field, hand, name), part=part, book=rows, gallery=gallery, grasps=chosen))
     return tasks
 
 
@@ -181,9 +179,7 @@ def _errors_by_hand(results: Sequence[PairResult]) -> dict[tuple[str, str], dict
     """(part, input) -> hand -> mean surface error of each grasp, mm."""
     return {
         (part, given): {
-            hand: np.concatenate(
-                [1e3 * r.shapes[given].distances_m.mean(axis=(1, 2)) for r in group if r.hand == hand]
-            )
+            hand: np.concatenate([1e3 * r.shapes[given].distances_m.mean(axis=(1, 2)) for r in group if r.hand == hand])
             for hand in dict.fromkeys(r.hand for r in group)
         }
         for (part, given), group in _groups(results).items()
@@ -224,7 +220,9 @@ def _times(
             find.append(time.perf_counter() - middle)
     times = {"encode": 1e3 * float(np.median(encode)), "retrieve": 1e3 * float(np.median(find))}
     for given in dict.fromkeys(given for r in results for given in r.cpu_s):
-        times[f"infer, {given}"] = 1e3 * float(np.median(np.concatenate([r.cpu_s[given] for r in results])))
+        times[f"infer, {given}"] = 1e3 * float(
+            np.median(np.concatenate([r.cpu_s[given] for r in results if given in r.cpu_s]))
+        )
     return times
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -48,9 +49,9 @@ def retrieval_examples(book: CodeBook, *, prefer: str = "human", rerank: int = 0
         one = book[query]
         here = gallery_rows[gallery.where(object_name=name)]
         hands = sorted({book.hands[i] for i in book.hand_index[here]})
-        common = {"object_name": name, "count": 1, "rerank": rerank}
-        near = [int(gallery_rows[retrieve(one, gallery, hand=hand, **common).index[0, 0]]) for hand in hands]
-        far = int(gallery_rows[retrieve(one, gallery, farthest=True, **common).index[0, 0]])
+        first = partial(retrieve, one, gallery, object_name=name, count=1, rerank=rerank)
+        near = [int(gallery_rows[first(hand=hand).index[0, 0]]) for hand in hands]
+        far = int(gallery_rows[first(farthest=True).index[0, 0]])
         distance = np.abs(book.contact_maps[here].astype(np.float64) - one.contact_maps).sum(axis=1)
         similarity = 1.0 - distance / max(float(distance.max()), 1e-12)
         known = dict(zip(here.tolist(), similarity.tolist(), strict=True)) | {query: 1.0}

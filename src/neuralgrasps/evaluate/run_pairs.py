@@ -101,26 +101,23 @@ def measure_pair(task: PairTask, config: MeasureConfig) -> PairResult:
     inferred: dict[str, PairInference] = {}
     if config.observed and task.part == "test":
         for given, how in config.observations.items():
-            inferred[given] = infer_pair(
-                task.field, task.gallery, task.grasps, task.book.grasp_index, how, config.seed
-            )
+            inferred[given] = infer_pair(task.field, task.gallery, task.grasps, task.book.grasp_index, how, config.seed)
     books = {KNOWN: task.book} | {given: one.codes for given, one in inferred.items()}
     found = {
         given: decoded_grasps(task.field, book.values, hand=hand, object_name=name) for given, book in books.items()
     }
-    packed, obj = task.field.packed[hand], task.field.object(name)
-    radius = task.field.object_codecs[name].radius_m
+    packed, codec = task.field.packed[hand], task.field.object_codecs[name]
     shapes = score_shapes(
         {given: posed_hands(packed, X_OH, q) for given, (X_OH, q) in found.items()},
         posed_hands(packed, task.grasps.X_OH, task.grasps.q),
-        normalisation=normalisation_of(obj.points_O),
+        normalisation=normalisation_of(codec.points_O),
         seeds=[child_seed(config.seed, "shapes", hand, name, int(i)) for i in task.book.grasp_index],
         queries=config.queries,
         points=config.points,
     )
-    true_maps = contact_maps(packed, task.grasps.X_OH, task.grasps.q, obj.points_O, radius_m=radius)
+    true_maps = contact_maps(packed, task.grasps.X_OH, task.grasps.q, codec.points_O, radius_m=codec.radius_m)
     errors = {
-        given: np.abs(contact_maps(packed, X_OH, q, obj.points_O, radius_m=radius) - true_maps)
+        given: np.abs(contact_maps(packed, X_OH, q, codec.points_O, radius_m=codec.radius_m) - true_maps)
         for given, (X_OH, q) in found.items()
     }
     return PairResult(

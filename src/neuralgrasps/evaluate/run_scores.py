@@ -14,12 +14,13 @@ from neuralgrasps.evaluate.retrieval import RetrievalScores
 from neuralgrasps.model.reconstruct import SurfaceErrors
 
 KNOWN, ALL_OVER, ONE_VIEW = "known", "observed all over", "observed in one view"
-SDF_SAMPLES = "signed distances"
+SDF_SAMPLES, LEARNED = "signed distances", "learned code"
 INPUTS: Mapping[str, str] = {
     KNOWN: "pose and joints are given: the code holds the grasp by construction, nothing is inferred",
     ALL_OVER: "only points on the whole surface of the hand are given, without labels, pose or joints",
     ONE_VIEW: "only the points of the hand that one depth camera sees are given, the object and the hand in the way",
     SDF_SAMPLES: "signed distances to hand and object at sample points are given, as in the paper",
+    LEARNED: "the code was learned together with the field, from signed distances",
 }
 SIMILARITY_NAMES = ("near_z", "near_gt", "far_z", "far_gt")
 
@@ -185,8 +186,8 @@ class RunScores:
     def against_paper(self, part: str, given: str) -> dict[str, tuple[str, ...]]:
         """Columns ("object: hand") by how they stand to the paper's figures.
 
-        Keys: "at_or_below"; "above" although a perfect field would not be; "above_as_a_perfect_field", where the paper's
-        figure is below what a perfect field scores on these shapes.
+        Keys: "at_or_below"; "above" although a perfect field would not be; "above_as_a_perfect_field", where the
+        paper's figure is below what a perfect field scores on these shapes.
         """
         sides: dict[str, list[str]] = {"at_or_below": [], "above": [], "above_as_a_perfect_field": []}
         rows: list[HandRow | ObjectRow] = [r for r in self.objects if r.part == part]
@@ -196,7 +197,9 @@ class RunScores:
                 continue
             name = f"{row.object}: {row.hand if isinstance(row, HandRow) else 'object'}"
             below = row.chamfer_e3 <= row.paper_e3
-            sides["at_or_below" if below else "above" if row.paper_in_reach else "above_as_a_perfect_field"].append(name)
+            sides["at_or_below" if below else "above" if row.paper_in_reach else "above_as_a_perfect_field"].append(
+                name
+            )
         return {key: tuple(names) for key, names in sides.items()}
 
     def record(self) -> dict[str, Any]:
@@ -261,7 +264,10 @@ def similarity_row(
     plain: RetrievalScores, reranked: RetrievalScores, *, part: str, given: str, object_name: str
 ) -> SimilarityRow:
     """The row of one object: pure code, and re-ranked."""
-    paper = published_similarities(object_name, part=part) or (None,) * 4
+    paper: dict[str, Any] = dict.fromkeys(f"paper_{name}" for name in SIMILARITY_NAMES)
+    published = published_similarities(object_name, part=part)
+    if published is not None:
+        paper = dict(zip(paper, published, strict=True))
     return SimilarityRow(
         part=part,
         input=given,
@@ -271,7 +277,7 @@ def similarity_row(
         **{name: getattr(plain, name) for name in SIMILARITY_NAMES},
         near_z_reranked=reranked.near_z,
         **{f"recall_at_{k}": plain.recall_at[k] for k in (1, 5, 10)},
-        **{f"paper_{name}": value for name, value in zip(SIMILARITY_NAMES, paper, strict=True)},
+        **paper,
     )
 
 

@@ -46,12 +46,14 @@ def scatter_svg(
         letter = named.get(index)
         data = f' data-letter="{escape(letter)}"' if letter else ""
         marks.append(
-            f'<g class="{css}" data-hand="{escape(hand)}" data-at="{x:.1f} {y:.1f}"{data} style="--c:{hand_colour(hand)}">'
+            f'<g class="{css}" data-hand="{escape(hand)}" data-at="{x:.1f} {y:.1f}"{data} '
+            f'style="--c:{hand_colour(hand)}">'
             f"{_mark(_shape(hand), x, y, size)}<title>{escape(text)}</title></g>"
         )
         if letter:
             tags.append(
-                f'<g class="letter" data-hand="{escape(hand)}" aria-hidden="true"><circle cx="{x:.1f}" cy="{y:.1f}" r="8.5"/>'
+                f'<g class="letter" data-hand="{escape(hand)}" aria-hidden="true">'
+                f'<circle cx="{x:.1f}" cy="{y:.1f}" r="8.5"/>'
                 f'<text x="{x + 9:.1f}" y="{y - 7:.1f}">{escape(letter)}</text></g>'
             )
     return _svg(width, height, "".join(marks + tags), label or "scatter of latent codes coloured by hand")

@@ -32,8 +32,10 @@ Key = tuple[int, tuple[int, int]]  # row of the code book, size
 
 _TEXTS = {
     "numbers": "Every table says which field its figures belong to, and what was given.",
-    "retrieval": "The framed grasp is unseen and its pose is known. Beside it, the training grasp of each hand whose code "
-    "is nearest, and last the farthest of all. Similarity is that of the contact maps: 1 is the same, 0 the least alike.",
+    "retrieval": "The framed grasp is unseen and its pose is known. Beside it, the training grasp of each hand whose "
+    "code "
+    "is nearest, and last the farthest of all. Similarity is that of the contact maps: 1 is the same, 0 the least "
+    "alike.",
 }
 
 
@@ -55,7 +57,7 @@ def write_evaluation(
         scores: of `evaluate_run` for this field, book and grasps; command: as typed, shown at the top.
         seed: of the t-SNE.
     """
-    places = {name: (field.object(name).points_O, codec.offset_O) for name, codec in field.object_codecs.items()}
+    places = {name: (codec.points_O, codec.offset_O) for name, codec in field.object_codecs.items()}
     maps = embed_book(book, places, seed=seed)
     examples = retrieval_examples(book)
     wanted: dict[Key, None] = {(int(i), PICTURE): None for e in examples for i in e.rows}
@@ -65,7 +67,8 @@ def write_evaluation(
     report = DemoReport(
         title="How well the latent space holds grasps",
         command=command,
-        subtitle=f"{scores.field}: {len(book.hands)} hands, {len(book.objects)} objects, {len(book)} grasps ({kinds} measured)",
+        subtitle=f"{scores.field}: {len(book.hands)} hands, {len(book.objects)} objects, {len(book)} grasps ({kinds} "
+        f"measured)",
         machine=f"{platform.system()} {platform.machine()}, {available_cpus()} processors",
         seed=seed,
         version=neuralgrasps.__version__,
@@ -160,8 +163,8 @@ def _draw(
         sizes = [size for _, size in keys]
         tasks.append((field.hand(hand), field.object(name), np.asarray(chosen.X_OH), np.asarray(chosen.q), sizes))
     pictures: dict[Key, np.ndarray] = {}
-    for index, images in run_tasks(_draw_group, tasks, workers=workers):
-        pictures |= dict(zip(list(groups.values())[index], images, strict=True))
+    for task, images in run_tasks(_draw_group, tasks, workers=workers):
+        pictures |= dict(zip(list(groups.values())[task], images, strict=True))
         if progress is not None:
             progress(len(pictures), len(wanted), "")
     return pictures

@@ -34,6 +34,7 @@ def summary_table(scores: RunScores) -> Table:
         wrong = None if "wrong_basins" not in s else f"{100 * s['wrong_basins']:.1f} %"
         gaps = (f"{s['gap']:.4f}", f"{s['gap_reranked']:.4f}", f"{s['recall_at_1']:.2f}")
         rows.append((f"{_WHOSE[part]}, {given}", *map(_plain, numbers), wrong, *gaps))
+    inputs = dict.fromkeys(given for _, given in scores.parts_and_inputs)
     return Table(
         title=f"All objects and hands together ({scores.field})",
         columns=(
@@ -43,7 +44,7 @@ def summary_table(scores: RunScores) -> Table:
         rows=tuple(rows),
         meaning="Surface: distances between decoded and true hand, both ways, over all surface points. Gap: contact "
         "similarity of the best grasp there is, less that of the one found by code. Kinds of input are never mixed: "
-        + " ".join(f"{given.capitalize()}: {INPUTS[given]}." for given in dict.fromkeys(g for _, g in scores.parts_and_inputs)),
+        + " ".join(f"{given.capitalize()}: {INPUTS[given]}." for given in inputs),
         how=" ".join(f"{name.capitalize()}: {text}." for name, text in scores.conditions.items()),
     )  # fmt: skip
 
@@ -59,7 +60,8 @@ def chamfer_table(scores: RunScores, part: str, given: str) -> Table:
         body.append((pretty_name(shape.object), *map(_chamfer_text, cells)))
     sides = scores.against_paper(part, given)
     counts = (
-        f"At or below the paper's figure: {len(sides['at_or_below'])} columns. Above it: {len(sides['above'])}. Above it "
+        f"At or below the paper's figure: {len(sides['at_or_below'])} columns. Above it: {len(sides['above'])}. "
+        f"Above it "
         f"where {_PERFECT} is too: {len(sides['above_as_a_perfect_field'])}."
     )
     return Table(
@@ -85,7 +87,18 @@ def surface_table(scores: RunScores, part: str, given: str) -> Table:
     """Honest millimetres, by object and hand."""
     rows = [r for r in scores.hands if (r.part, r.input) == (part, given)]
     inferred = any(r.infer_ms is not None for r in rows)
-    columns = ("object", "hand", "grasps", "mean, mm", "median", "p95", "F at 1 mm", "at 2 mm", "contact error", "its p95")
+    columns = (
+        "object",
+        "hand",
+        "grasps",
+        "mean, mm",
+        "median",
+        "p95",
+        "F at 1 mm",
+        "at 2 mm",
+        "contact error",
+        "its p95",
+    )
     body = []
     for r in rows:
         own = (r.surface_mean_mm, r.surface_median_mm, r.surface_p95_mm)
@@ -101,7 +114,8 @@ def surface_table(scores: RunScores, part: str, given: str) -> Table:
         columns=(*columns, "wrong by 10 mm", "infer, CPU ms") if inferred else columns,
         rows=tuple(body),
         meaning="Distance between decoded and true hand, from points of each surface to the other, exact. F-score: "
-        "harmonic mean of the shares of either surface within 1 or 2 mm of the other. Contact error: |difference| of the "
+        "harmonic mean of the shares of either surface within 1 or 2 mm of the other. Contact error: |difference| of "
+        "the "
         "contact maps of decoded and true hand, over the object's contact points.",
     )
 
@@ -112,11 +126,14 @@ def similarity_table(scores: RunScores, part: str, given: str) -> Table:
     return Table(
         title=f"Retrieval: {_WHOSE[part].lower()}, {given} ({scores.field})",
         columns=(
-            "object", "queries", "Near Z", "Near GT", "Far Z", "Far GT", "gap", "gap re-ranked", "recall at 1", "at 5", "at 10",
+            "object", "queries", "Near Z", "Near GT", "Far Z", "Far GT", "gap", "gap re-ranked", "recall at 1", "at 5",
+            "at 10",
         ),
         rows=tuple(_similarity_cells(r) for r in rows),
-        meaning="Contact similarity of the nearest and farthest training grasp, found by code (Z) and by the contact maps "
-        "themselves (GT: the best and worst there are); the paper's figures in brackets. Recall at k: the nearest grasp by "
+        meaning="Contact similarity of the nearest and farthest training grasp, found by code (Z) and by the contact "
+        "maps "
+        "themselves (GT: the best and worst there are); the paper's figures in brackets. Recall at k: the nearest "
+        "grasp by "
         "contact map is among the k nearest by code. Re-ranked: the first 20 by code put in order by contact map.",
         how="L1 between contact maps over the largest of the object's; similarity is one minus that.",
     )  # fmt: skip

@@ -10,7 +10,6 @@ from neuralgrasps.report.content import LatentMap
 from neuralgrasps.report.palette import hand_colour
 from neuralgrasps.report.sections import PictureEncoder, grid, pretty_name
 
-
 MANY = 600  # marks from which on they are drawn smaller
 
 
@@ -25,7 +24,15 @@ def latent_section(maps: Sequence[LatentMap], pictures: PictureEncoder) -> str:
 def _map_card(m: LatentMap, pictures: PictureEncoder) -> str:
     letters = {point: letter_of(place) for place, point in enumerate(m.pictures)}
     label = f"t-SNE of {pretty_name(m.title)}. Arrow keys walk from mark to mark."
-    svg = scatter_svg(m.points, m.hands, m.notes, label=label, unseen=m.unseen, letters=letters, size=0.72 if len(m.hands) > MANY else 1.0)
+    svg = scatter_svg(
+        m.points,
+        m.hands,
+        m.notes,
+        label=label,
+        unseen=m.unseen,
+        letters=letters,
+        size=0.72 if len(m.hands) > MANY else 1.0,
+    )
     note = f"<span>{escape(m.text)}</span>" if m.text else ""
     count = f'<span class="chip">{len(m.hands):,} grasps</span>'
     head = f"<header><b>{escape(pretty_name(m.title))}</b>{note}{count}</header>"

@@ -58,7 +58,8 @@ _TEXTS = {
     "transfer": "A grasp of one hand, carried to another through the shared latent space.",
     "latent": "Every mark is one grasp, placed by t-SNE so that near codes are near. Where the colours mix, "
     "different hands hold the object in the same way; distances between far groups mean nothing. Outlined marks are "
-    "grasps that training never saw. Letters stand for the pictures. Point at a mark, or walk from mark to mark with the "
+    "grasps that training never saw. Letters stand for the pictures. Point at a mark, or walk from mark to mark with "
+    "the "
     "arrow keys; the names of the hands show and hide theirs.",
     "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: "
     "the object tinted and outlined; a white outline is the true pose. Errors are measured against it, "

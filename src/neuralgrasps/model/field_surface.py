@@ -1,0 +1,92 @@
+"""The zero surface of any distance field as a mesh, so that it can be measured like a true shape."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+from skimage.measure import marching_cubes
+
+from neuralgrasps.dataset.samples import Normalisation
+from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.mesh_tree import build_tree, tree_distance
+from neuralgrasps.geometry.sampling import sample_surface
+from neuralgrasps.model.reconstruct import SignedDistance
+
+COARSE, FINE = 80, 2  # cells along each axis, and how much finer near the surface
+
+
+class FieldSurface:
+    """What a field calls the surface of a shape, within its unit ball; a `Shape`.
+
+    Stray surfaces far from the shape are part of it, as the field's user would meet them.
+
+    Attributes:
+        bounds_O: None: such a field may say "inside" anywhere.
+    """
+
+    bounds_O = None
+
+    def __init__(self, distance: SignedDistance, *, normalisation: Normalisation, cells: int = COARSE) -> None:
+        """
+        Args:
+            distance: (M, 3) points, object frame, metres -> (M,) metres. cells: of the coarse grid, along each axis.
+        """
+        self._distance = distance
+        self._normalisation = normalisation
+        self._cells = cells
+
+    def signed_distance(self, points_O: np.ndarray) -> np.ndarray:
+        return self._distance(points_O)
+
+    def surface_distance(self, points_O: np.ndarray) -> np.ndarray:
+        mesh = self.mesh
+        return np.abs(tree_distance(self._tree, mesh, np.ascontiguousarray(points_O, np.float64)))
+
+    def surface_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        return sample_surface(self.mesh, count, int(rng.integers(2**31)))[0]
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The surface, object frame, metres.
+
+        Raises:
+            InputError: the field is positive or negative everywhere in the ball.
+        """
+        return level_mesh(self._distance, self._normalisation, cells=self._cells)
+
+    @cached_property
+    def _tree(self):  # type: ignore[no-untyped-def]
+        return build_tree(self.mesh)
+
+
+def level_mesh(distance: SignedDistance, normalisation: Normalisation, *, cells: int = COARSE) -> Mesh:
+    """Marching cubes over the box of the unit ball: everywhere on a coarse grid, again on a finer one near the surface.
+
+    Args:
+        cells: of the coarse grid along each axis; the finer one has `FINE` times as many.
+    Raises:
+        InputError: no surface is found.
+    """
+    coarse = _grid_points(cells)
+    values = distance(normalisation.to_object(coarse)).reshape((cells + 1,) * 3) / normalisation.scale_m
+    fine = FINE * cells
+    at = np.indices((fine + 1,) * 3).reshape(3, -1) / FINE
+    guess = map_coordinates(values, at, order=1)
+    near = np.flatnonzero(np.abs(guess) < 1.5 * 2.0 / cells)
+    if len(near):
+        points = (at[:, near].T * (2.0 / cells)) - 1.0
+        guess[near] = distance(normalisation.to_object(points)) / normalisation.scale_m
+    volume = guess.reshape((fine + 1,) * 3)
+    if not volume.min() < 0.0 < volume.max():
+        raise InputError("the field has no surface in the unit ball: it has one sign everywhere; train it longer.")
+    vertices, faces, _, _ = marching_cubes(volume, 0.0)
+    unit = vertices * (2.0 / fine) - 1.0
+    return Mesh(np.asarray(normalisation.to_object(unit), np.float64), np.ascontiguousarray(faces, np.int32))
+
+
+def _grid_points(cells: int) -> np.ndarray:
+    axis = np.linspace(-1.0, 1.0, cells + 1)
+    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
