@@ -13,7 +13,7 @@ from neuralgrasps.geometry.raster import rasterise
 
 VIEWS = 128
 WIDTH, HEIGHT, FOV_Y_RAD = 320, 240, math.radians(45.0)
-_STEP = 1.15  # of the rings' sizes
+_STEP = 1.25  # of the rings' sizes
 _MARGIN = 1.02  # the scene's ball is this much smaller than what a camera sees of it
 
 
@@ -31,13 +31,13 @@ def even_directions(count: int) -> np.ndarray:
 
 
 def ring_level(reach_m: float, base_m: float) -> int:
-    """The smallest k >= 0 for which a ball of `base_m` * 1.15^k holds one of `reach_m`."""
+    """The smallest k >= 0 for which a ball of `base_m` * 1.25^k holds one of `reach_m`."""
     level = max(0, math.ceil(math.log(max(reach_m / base_m, 1.0)) / math.log(_STEP)))
     return level if base_m * _STEP**level >= reach_m else level + 1  # log rounds
 
 
 def ring_poses(centre_O: np.ndarray, base_m: float, level: int) -> np.ndarray:
-    """X_OC (128, 4, 4): cameras that look at `centre_O` and have the ball of `base_m` * 1.15^`level` in view.
+    """X_OC (128, 4, 4): cameras that look at `centre_O` and have the ball of `base_m` * 1.25^`level` in view.
 
     Directions are fixed in the object frame, so that what they see of an object is rendered once for many scenes.
     """

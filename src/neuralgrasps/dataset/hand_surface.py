@@ -10,7 +10,7 @@ from neuralgrasps.geometry.pose_kernels import turned_vector
 from neuralgrasps.hands.hand import PartKind
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many, pose_links
 
-INSIDE_M = 1e-6  # a surface point of one part this deep in another is not on the hand's surface
+SKIN_M = 2e-6  # a surface point that has another part this close before it is not on the hand's surface
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -148,7 +148,7 @@ def sample_posed_parts(
         packed: the hand; X_OH: (4, 4) hand base in the object frame, metres; q: (J,) joints.
     Returns:
         (count, 3) float64, object frame, metres, and (count,) int64 the part that each lies on. Points inside another
-        part are drawn again, so every point is on the outside of the hand.
+        part, or between two that touch, are drawn again: every point is on the outside of the hand.
     """
     X_OH, q = np.array(X_OH, np.float64), np.array(q, np.float64)  # kernels are compiled for writable arrays
     X_OP = packed_part_poses(packed, X_OH, q)
@@ -162,10 +162,12 @@ def sample_posed_parts(
         points = np.concatenate(
             [_part_points(packed, k, n, rng) @ X_OP[k, :3, :3].T + X_OP[k, :3, 3] for k, n in enumerate(shares) if n]
         )
+        parts = np.repeat(np.arange(len(shares)), shares)
+        before = points + SKIN_M * hand_normals(packed, X_OP, points, parts)
         distance = np.empty(len(points))
-        hand_distance_many(packed, X_OH, q, points, distance)
-        outside = rng.permutation(np.flatnonzero(distance > -INSIDE_M))[:missing]
+        hand_distance_many(packed, X_OH, q, before, distance)
+        outside = rng.permutation(np.flatnonzero(distance > 0.5 * SKIN_M))[:missing]
         kept.append(points[outside])
-        owners.append(np.repeat(np.arange(len(shares)), shares)[outside])
+        owners.append(parts[outside])
         missing -= len(outside)
     return np.concatenate(kept), np.concatenate(owners)

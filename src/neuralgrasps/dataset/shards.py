@@ -21,7 +21,7 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.tensor_files import tensor_bytes
 
-SAMPLES_LAYOUT, CLOUDS_LAYOUT = 1, 1  # numbers to raise when these files change
+SAMPLES_LAYOUT, CLOUDS_LAYOUT = 2, 1  # numbers to raise when these files change
 SAMPLE_ARRAYS = tuple(f.name for f in fields(SdfSamples))
 CLOUD_ARRAYS = tuple(f.name for f in fields(SceneClouds))
 CLOUD_SETTINGS = ("clouds", "cloud_points")  # what of the configuration only clouds depend on
