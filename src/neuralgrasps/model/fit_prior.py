@@ -15,6 +15,7 @@ PROBES = 400
 MATERIAL = 96
 _JOINT_SD = 0.04  # of a joint's range, added to what the examples show
 _TOUCH_SD = 0.0005
+DEPTH_SD_M = 0.0005  # of surface points inside the object
 _TOUCH_SHARE = 0.75  # a link touches usually when so many examples have it within _TOUCH_NEAR of the object
 _TOUCH_NEAR = 0.003
 

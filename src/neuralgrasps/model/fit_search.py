@@ -18,7 +18,7 @@ from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
 from neuralgrasps.model.fit_kernels import FitProblem, fit_cost, fit_hand, fit_starts, score_starts
-from neuralgrasps.model.fit_prior import GraspPrior, posed_points
+from neuralgrasps.model.fit_prior import DEPTH_SD_M, GraspPrior, posed_points
 from neuralgrasps.model.fit_view import visible_points
 
 MIN_NOISE_M = 0.0003  # models and sensors are no better; keeps the priors from vanishing on clean points
@@ -163,7 +163,7 @@ class CloudSearch:
             touch_mean=self.prior.touch_mean,
             touch_weight=unit / self.prior.touch_sd**2,
             touch_width=TOUCH_WIDTH_M,
-            depth_weight=unit / 0.0005**2,
+            depth_weight=unit / DEPTH_SD_M**2,
             depth_width=0.003,
             depth_free=0.001,
             sdf_values=self.sdf.values,
