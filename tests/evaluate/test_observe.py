@@ -5,7 +5,7 @@ import pytest
 
 from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.errors import InputError
-from neuralgrasps.evaluate.observe import DISTANCE_M, observe_hand, observe_hand_one_view
+from neuralgrasps.evaluate.observe import DISTANCE_M, observe_hand, observe_hand_one_view, view_hand
 from neuralgrasps.geometry.primitives import sphere_mesh
 from neuralgrasps.model.infer import infer_grasps, one_view_config
 from neuralgrasps.model.reconstruct import hand_surface_distances
@@ -38,6 +38,17 @@ def test_one_view_sees_a_side_of_the_hand(small_run, small_world) -> None:
     assert np.sqrt((off**2).mean()) == pytest.approx(0.003, rel=0.1)
     rays = (noisy - seen)[off > 1e-4] / off[off > 1e-4, None]
     assert np.abs(rays @ rays[0]).min() > np.cos(2 * np.arctan(0.25 / DISTANCE_M))  # all from one eye
+
+
+def test_a_view_tells_where_its_camera_stood(small_run, small_world) -> None:
+    hand, ball, grasps = small_world.hands["allegro"], small_world.objects["ball"], small_world.grasp_sets[1]
+    X_OH, q = grasps.X_OH[0], grasps.q[0]
+    clear, noisy = (view_hand(hand, ball, X_OH, q, seed=2, noise_m=noise) for noise in (0.0, 0.003))
+    np.testing.assert_array_equal(clear.viewpoint_O, noisy.viewpoint_O)
+    rays = clear.points_O - clear.viewpoint_O
+    assert np.linalg.norm(rays, axis=1).mean() == pytest.approx(DISTANCE_M, rel=0.3)
+    off = np.cross(noisy.points_O - clear.points_O, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    assert np.abs(off).max() < 1e-9  # noise lies along the rays from the viewpoint
 
 
 def test_the_object_is_in_the_way(small_world) -> None:

@@ -1,8 +1,11 @@
+from functools import partial
+
 import numpy as np
 import pytest
 
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.evaluate.observe import view_hand
 from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps, infer_hand, one_view_config
 from neuralgrasps.model.reconstruct import hand_surface_distances
 
@@ -60,6 +63,35 @@ def test_the_cloud_of_another_hand_is_suspected(small_run, small_world) -> None:
         for hand in ("allegro", "fetch")
     )
     assert not as_itself.suspect[0] and as_other.suspect[0]
+
+
+def test_wrong_clouds_are_suspected_and_why(small_run, small_world) -> None:
+    """A mirrored hand is another hand; half a cloud is no whole one, unless it is said to be one view."""
+    cloud = clouds_of(small_run.field, small_world.grasp_sets[1], [0], count=1000, noise=0.001)[0]
+    fitted = partial(infer_grasps, field=small_run.field, gallery=gallery_of(small_run), hand="allegro", object_name="ball")
+    config = InferConfig(rounds=2)
+    assert not fitted([cloud], config=config).suspect[0]
+    (reasons,) = fitted([cloud * [-1.0, 1.0, 1.0]], config=config).reasons
+    assert any("points are" in reason for reason in reasons)
+    middle = np.median(cloud[:, 2])
+    half = cloud[cloud[:, 2] > middle]
+    (reasons,) = fitted([half], config=config).reasons
+    assert any("has none" in reason for reason in reasons)
+    assert not any("has none" in reason for reason in fitted([half], config=one_view_config(0.001)).reasons[0])
+
+
+def test_a_camera_says_what_it_should_have_seen(small_run, small_world) -> None:
+    """From where the removed half must have been seen, it is missed; from the other side it is not."""
+    hand, ball, grasps = small_world.hands["allegro"], small_world.objects["ball"], small_world.grasp_sets[1]
+    view = view_hand(hand, ball, grasps.X_OH[0], grasps.q[0], seed=3, noise_m=0.0005, points=2000)
+    seen = view.points_O
+    across = seen @ np.linalg.svd(seen - seen.mean(axis=0), full_matrices=False)[2][0]
+    clouds = [seen, seen[across > np.quantile(across, 0.4)]]
+    found = infer_grasps(
+        clouds, small_run.field, gallery_of(small_run), hand="allegro", object_name="ball",
+        config=one_view_config(), viewpoints_O=np.tile(view.viewpoint_O, (2, 1)),
+    )  # fmt: skip
+    assert [any("has none" in reason for reason in reasons) for reasons in found.reasons] == [False, True]
 
 
 def test_a_cloud_is_fitted_alike_in_any_batch_on_any_threads(small_run, small_world) -> None:
