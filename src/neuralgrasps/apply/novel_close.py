@@ -14,6 +14,7 @@ from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.synthesis.candidates import Candidates, GraspProblem, close_and_assess
+from neuralgrasps.synthesis.finish import TOUCH_M
 from neuralgrasps.synthesis.settle import TOLERANCE_M, draw_apart
 
 LARGEST_RETREAT_M = 0.03
@@ -63,9 +64,10 @@ def free_hands(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> tuple[
 
 
 def free_and_close(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray) -> tuple[Candidates, np.ndarray]:
-    """Hands freed and closed; and the overlap that freeing left (N,), metres."""
+    """Hands freed, closed and judged by what counts as contact when finished; and the overlap left before (N,), m."""
     X_free, q_free, left = free_hands(problem, X_OH, q)
-    return close_and_assess(replace(problem, max_penetration_m=CLOSING_OVERLAP_M), X_free, q_free), left
+    lenient = replace(problem, max_penetration_m=CLOSING_OVERLAP_M, contact_threshold_m=TOUCH_M)
+    return close_and_assess(lenient, X_free, q_free), left
 
 
 def vary(

@@ -181,15 +181,13 @@ def _finished(
     """What stopped one closed hand, or NOT_HELD when nothing did so far and its grasp; `overlap_m` before closing."""
     none = empty_grasps(problem.hand.name, problem.obj.name, num_joints=problem.hand.num_dofs)
     stopped = int(closed.outcome[0])
-    if stopped == VALID:
+    if stopped in (VALID, NO_FORCE_CLOSURE, FEW_CONTACTS):  # settling may still bring another link into contact
         grasp = finish(closed)
         if len(grasp):
             return NOT_HELD, grasp
         settled, _ = settle(problem, closed)
-        overlaps = settled.penetration_m[0] > problem.max_penetration_m
-        return PENETRATING if overlaps else NOT_FORCE_CLOSURE, none
-    if stopped == NO_FORCE_CLOSURE:
-        return NOT_FORCE_CLOSURE, none
-    if stopped == FEW_CONTACTS or (stopped == COLLIDES and overlap_m <= START_OVERLAP_M):
-        return NOT_CLOSED, none
-    return PENETRATING, none
+        if settled.penetration_m[0] > problem.max_penetration_m:
+            return PENETRATING, none
+        return NOT_CLOSED if stopped == FEW_CONTACTS else NOT_FORCE_CLOSURE, none
+    free = stopped == COLLIDES and overlap_m <= START_OVERLAP_M  # a jaw that ran into its limit
+    return NOT_CLOSED if free else PENETRATING, none

@@ -57,7 +57,8 @@ def novel(
         kind: noise: known codes plus noise; midpoint: between neighbours; sample: from a kernel density over the known
             codes; gaussian: from one Gaussian over them.
         spread: of the noise, in standard deviations of the known codes.
-        search: small variations of a decoded hand that are closed too; the best by epsilon is tried. 0: as decoded.
+        search: most small variations of a decoded hand that are closed too, where it closes poorly; the best by
+            epsilon is tried. 0: as decoded.
         noise_level: above 0, the trained network first moves codes this far off towards known grasps.
         protocol: physics trial that decides: dexgraspbench, dexgraspbench-quick, dexgraspbench-hard or shake.
         seed: the same seed gives the same grasps.
@@ -195,7 +196,7 @@ def _show(terminal: Terminal, record: dict[str, Any]) -> None:
         "sample": "a kernel density over known codes",
         "gaussian": "a Gaussian over known codes",
     }[record["from"]]
-    search = f"best of {record['search'] + 1} closings" if record["search"] else "one closing"
+    search = f"best of up to {record['search'] + 1} closings" if record["search"] else "one closing"
     facts: list[tuple[str, Any]] = [
         ("codes from", how),
         ("each code", f"{search}, one trial ({record['protocol']})"),

@@ -62,7 +62,7 @@ def write_novel_page(
 
 def _key_figures(figures: Mapping[str, Any]) -> tuple[KeyFigure, ...]:
     search, novelty = figures["search"], f"{figures['novelty_median_mm']:.1f} mm"
-    how = f"best of {search + 1} closings per code" if search else "one closing per code"
+    how = f"best of up to {search + 1} closings per code" if search else "one closing per code"
     held, closed = (f"{100 * figures[key]:.0f} %" for key in ("held_share", "force_closure_share"))
     return (
         KeyFigure(value=str(figures["held"]), label="new grasps held in physics", note=f"of {figures['codes']} codes"),
