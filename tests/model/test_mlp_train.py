@@ -15,7 +15,7 @@ from neuralgrasps.model.checkpoint import load_run
 from neuralgrasps.model.losses import variable_margin_triplet
 from neuralgrasps.model.mlp_bench import made_up_scenes
 from neuralgrasps.model.mlp_checkpoint import config_of, replay_dump, save_dump
-from neuralgrasps.model.mlp_data import ObjectScenes, SceneSamples, object_scenes, scene_samples
+from neuralgrasps.model.mlp_data import FAR, ObjectScenes, SceneSamples, object_scenes, scene_samples
 from neuralgrasps.model.mlp_field import MlpConfig
 from neuralgrasps.model.mlp_infer import ContactTerm, MlpInferConfig, infer_codes, maps_from_samples
 from neuralgrasps.model.mlp_loss import triplet_of_distances
@@ -49,7 +49,12 @@ def permuted(scenes: ObjectScenes, order: np.ndarray) -> ObjectScenes:
     samples = scenes.samples
     return replace(
         scenes,
-        samples=SceneSamples(rows=samples.rows[index], positive=samples.positive[index], inside=samples.inside[index]),
+        samples=SceneSamples(
+            rows=samples.rows[index],
+            positive=samples.positive[index],
+            inside=samples.inside[index],
+            far=samples.far[index],
+        ),
         contact_maps=scenes.contact_maps[order],
         hand_index=scenes.hand_index[order],
         grasp_index=scenes.grasp_index[order],
@@ -92,6 +97,8 @@ def test_draw_is_balanced_and_from_the_published_lists(small_dataset) -> None:
         ]
         assert kinds[0] == pytest.approx(kinds[1], abs=0.15)
         assert len(np.unique(places[i, 1001:])) == pytest.approx(len(np.unique(plain[i, 1001:])), rel=0.15)
+    far = samples.gather(scenes, samples.draw(scenes, 100, torch.Generator().manual_seed(2), far_share=0.3))[..., 3:]
+    assert (far[:, 70:] > FAR).all() and (far[1:, 35:70] <= 0).any(dim=2).all()
     shared = samples.draw(scenes, 100, torch.Generator().manual_seed(1), shared=True)
     alone = samples.draw(scenes[2:3], 100, torch.Generator().manual_seed(1), shared=True)
     assert torch.equal(shared[2:3], alone)

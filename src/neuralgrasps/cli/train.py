@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
 
 from neuralgrasps.cli.models import dataset_hands, dataset_objects, source_text, write_sources
-from neuralgrasps.cli.options import Folder, Names, PositionalFolder
+from neuralgrasps.cli.options import (
+    Folder,
+    Names,
+    OptionalFloat,
+    OptionalInt,
+    OptionalText,
+    PositionalFolder,
+    check_seed,
+)
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal, counted
+from neuralgrasps.errors import InputError
 
 
 def train(
@@ -24,10 +36,19 @@ def train(
     threads: int = 2,
     compact: bool = False,
     hands: Names = (),
+    field: Literal["kinematic", "mlp"] = "kinematic",
+    object_: Annotated[OptionalText, tyro.conf.arg(name="object")] = None,
+    preset: Literal["paper", "paper-fast"] = "paper-fast",
+    minutes: OptionalFloat = None,
+    epochs: OptionalInt = None,
+    resume: bool = True,
+    checkpoint_minutes: float = 5.0,
+    device: OptionalText = None,
 ) -> Outcome:
     """Fit the latent space that all hands of a dataset share.
 
-    Training that was stopped goes on where it was, to the same weights.
+    Training that was stopped goes on where it was, to the same weights. The default field knows all objects and poses
+    exact hands; `--field mlp` is the published network, for one object. Under torchrun it trains on several GPUs.
 
     Args:
         dataset: folder that `dataset build` wrote.
@@ -39,7 +60,28 @@ def train(
         threads: of the training; with another number the weights differ in their last digits.
         compact: store contact maps to 1/255, for a run a quarter of the size.
         hands: files of hands that are not built in and have moved since the dataset was built.
+        field: kinematic: one model of all objects; mlp: the published network and free codes of one object.
+        object_: of the MLP field: the object to train on.
+        preset: of the MLP field: the paper's schedule (1e10 samples), or one with a tenth of it or less.
+        minutes: of the MLP field: squeeze the schedule into so long; training that goes on stops after so long.
+        epochs: of the MLP field: length of the schedule, 20,000 points per grasp each.
+        resume: of the MLP field: go on from the checkpoint in `out`, if there is one.
+        checkpoint_minutes: of the MLP field: between checkpoints.
+        device: of the MLP field: cpu or cuda; a GPU if there is one when not given.
     """
+    check_seed(seed)
+    if field == "mlp":
+        from neuralgrasps.cli.train_mlp import MlpOptions, train_mlp_field
+
+        options = MlpOptions(
+            object_name=object_, preset=preset, minutes=minutes, epochs=epochs, resume=resume,
+            checkpoint_minutes=checkpoint_minutes, device=device, seed=seed, threads=threads,
+        )  # fmt: skip
+        return train_mlp_field(terminal, dataset, out, options, hands=hands)
+    if object_ is not None or minutes is not None or epochs is not None or device is not None:
+        raise InputError(
+            "--object, --minutes, --epochs and --device belong to --field mlp; the default field has none."
+        )
     from neuralgrasps.dataset.read import read_dataset
     from neuralgrasps.model.checkpoint import save_run
     from neuralgrasps.model.train import TrainConfig
@@ -59,7 +101,7 @@ def train(
         )  # fmt: skip
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
     save_run(out, result, grasps=[data.grasps(*pair) for pair in data.pairs], compact_maps=compact)
-    sources = {name: source_text(spec) for name, spec in _hand_sources(dataset, hands, list(models)).items()}
+    sources = {name: source_text(spec) for name, spec in hand_sources(dataset, hands, list(models)).items()}
     write_sources(out, hands=sources, objects={}, dataset=str(dataset.resolve()))
     last = float(result.losses[-50:].mean()) if len(result.losses) else float("nan")
     whose = f"{counted(len(models), 'hand')} on {counted(len(objects), 'object')}"
@@ -76,7 +118,8 @@ def train(
     return Outcome(result={**result_figures, "final_loss_m_per_code_unit": last})
 
 
-def _hand_sources(dataset: Path, given: tuple[str, ...], names: list[str]) -> dict[str, str]:
+def hand_sources(dataset: Path, given: tuple[str, ...], names: list[str]) -> dict[str, str]:
+    """Name or file of each hand, as given now or recorded with the dataset."""
     from neuralgrasps.cli.models import open_hands, read_sources
 
     recorded = read_sources(dataset).get("hands", {})

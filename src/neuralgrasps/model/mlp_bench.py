@@ -59,6 +59,7 @@ def made_up_scenes(count: int = 16, points: int = 4_096, *, seed: int = 0) -> Ob
 def training_rate(
     *,
     config: MlpTrainConfig = PAPER,
+    scenes: int = 16,
     seconds: float = 10.0,
     threads: int | None = None,
     device: torch.device | str | None = None,
@@ -66,11 +67,12 @@ def training_rate(
     """Whole training steps (draw, loss, gradients, update) for about so many seconds, after two to warm up.
 
     Args:
+        scenes: how many there are to train on.
         threads: of torch on processors; the config's when None.
     """
     config = replace(config, threads=threads or config.threads)
     with torch_threads(config.threads), torch.random.fork_rng(), workers_here(device) as workers:
-        trainer = MlpTrainer(made_up_scenes(config.step_scenes or 16), config, workers)
+        trainer = MlpTrainer(made_up_scenes(scenes), config, workers)
         for _ in range(WARM_UP_STEPS):
             trainer.one_step()
         wall, cpu, steps = time.perf_counter(), time.process_time(), 0

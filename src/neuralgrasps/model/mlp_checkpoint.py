@@ -86,6 +86,23 @@ def load_state(
     return int(notes["step"]), losses
 
 
+def stored_config(folder: Path) -> MlpTrainConfig | None:
+    """The configuration of the training whose checkpoint a folder has; None when it has none.
+
+    Raises:
+        DataFormatError: the checkpoint is damaged, or of a training of another field.
+    """
+    path = folder / STATE_FILE
+    if not path.is_file():
+        return None
+    try:
+        return config_of(json.loads(read_tensors(path)[1]["config"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataFormatError(
+            f"'{path}' is not the checkpoint of an MLP field's training; give another folder."
+        ) from error
+
+
 def save_dump(folder: Path, model: LatentModel, batch: Batch, *, step: int, rank: int, prior_weight: float) -> Path:
     """Write all that the loss of a step is computed from: weights, codes, the batch, and what seeds its noise."""
     tensors = {f"model.{name}": value for name, value in model.state_dict().items()}

@@ -14,21 +14,24 @@ from neuralgrasps.dataset.samples import Normalisation, SdfSamples
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.hands.packed import PackedHand
 
+FAR = 0.01  # farther from both shapes than this (normalised) no sample lies that was drawn around a surface
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneSamples:
     """Query points and distances of S scenes, in normalised units, ordered so that a draw is index arithmetic.
 
     Attributes:
-        rows: (S, M, 5) float32 x, y, z, distance to the object and to the hand, not clamped. Of each scene first the
-            points outside both shapes, then those outside one and inside the other, then those inside both.
+        rows: (S, M, 5) float32 x, y, z, distance to the object and to the hand, not clamped. Of each scene first
+            points outside both shapes, farthest first, then those outside one and inside the other, then the others.
         positive: (S,) points outside at least one shape, the first ones; inside: (S,) those inside or on at
-            least one, the last ones; int64.
+            least one, the last ones; far: (S,) those farther than `FAR` outside both, the very first; int64.
     """
 
     rows: Tensor
     positive: Tensor
     inside: Tensor
+    far: Tensor
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -39,27 +42,43 @@ class SceneSamples:
 
     def to(self, device: torch.device | str) -> SceneSamples:
         """The same samples on a device."""
-        return SceneSamples(rows=self.rows.to(device), positive=self.positive.to(device), inside=self.inside.to(device))
+        return SceneSamples(
+            rows=self.rows.to(device),
+            positive=self.positive.to(device),
+            inside=self.inside.to(device),
+            far=self.far.to(device),
+        )
 
-    def draw(self, scenes: Tensor, count: int, generator: torch.Generator, *, shared: bool = False) -> Tensor:
+    def draw(
+        self, scenes: Tensor, count: int, generator: torch.Generator, *, far_share: float = 0.0, shared: bool = False
+    ) -> Tensor:
         """(n, count) int64 points of each of `scenes` (n,): half positive to either shape, half non-positive.
 
         With replacement. Where a scene has no point of one kind, all its points are of the other, and both halves are
-        drawn from them. See `dataset.balance.balanced_draw` for the plain statement. With `shared`, all scenes use the
-        same random numbers, so that what is drawn from one does not depend on the others.
+        drawn from them. See `dataset.balance.balanced_draw` for the plain statement.
+
+        Args:
+            far_share: part of the points that is drawn from the far ones instead, the last of each row.
+            shared: all scenes use the same random numbers; what is drawn from one does not depend on the others.
 
         Source:
             Khargonkar et al. 2022, published training code.
         """
         uniform = torch.rand(1 if shared else len(scenes), count, generator=generator, device=self.device)
         points = self.rows.shape[1]
-        half = (count + 1) // 2
-        outer, inner = self.positive[scenes], self.inside[scenes]
-        outer = torch.where(outer > 0, outer, points)[:, None]
-        inner = torch.where(inner > 0, inner, points)[:, None]
-        first = torch.minimum((uniform[:, :half] * outer).long(), outer - 1)
-        last = points - inner + torch.minimum((uniform[:, half:] * inner).long(), inner - 1)
-        return torch.cat([first, last], dim=1)
+        balanced = count - round(far_share * count)
+        half = (balanced + 1) // 2
+        outer, inner, far = (
+            torch.where(length > 0, length, points)[:, None]
+            for length in (self.positive[scenes], self.inside[scenes], self.far[scenes])
+        )
+
+        def among(length: Tensor, numbers: Tensor) -> Tensor:
+            return torch.minimum((numbers * length).long(), length - 1)
+
+        first = among(outer, uniform[:, :half])
+        last = points - inner + among(inner, uniform[:, half:balanced])
+        return torch.cat([first, last, among(far, uniform[:, balanced:])], dim=1)
 
     def gather(self, scenes: Tensor, places: Tensor) -> Tensor:
         """(n, K, 5) rows at `places` (n, K) of `scenes` (n,)."""
@@ -80,19 +99,24 @@ def scene_samples(parts: list[SdfSamples], normalisation: Normalisation) -> Scen
     if len(sizes) > 1:
         raise ShapeError(f"scenes have {sorted(sizes)} SDF samples; expected one number.")
     rows = np.empty((sum(len(part) for part in parts), sizes.pop(), 5), np.float32)
-    positive, inside = np.empty((2, len(rows)), np.int64)
+    positive, inside, far = np.empty((3, len(rows)), np.int64)
     k = 0
     for part in parts:
         for i in range(len(part)):
-            out = np.stack([part.sdf_object[i], part.sdf_hand[i]]) > 0
-            order = np.argsort(2 - out.sum(axis=0), kind="stable")
+            sdf = np.stack([part.sdf_object[i], part.sdf_hand[i]])
+            out, clear = sdf > 0, sdf.min(axis=0) / normalisation.scale_m
+            order = np.lexsort((-clear, 2 - out.sum(axis=0)))
             rows[k, :, :3] = normalisation.to_unit(part.points_O[i].astype(np.float64))[order]
             rows[k, :, 3] = part.sdf_object[i][order] / normalisation.scale_m
             rows[k, :, 4] = part.sdf_hand[i][order] / normalisation.scale_m
             positive[k], inside[k] = out.any(axis=0).sum(), (~out).any(axis=0).sum()
+            far[k] = (clear > FAR).sum()
             k += 1
     return SceneSamples(
-        rows=torch.from_numpy(rows), positive=torch.from_numpy(positive), inside=torch.from_numpy(inside)
+        rows=torch.from_numpy(rows),
+        positive=torch.from_numpy(positive),
+        inside=torch.from_numpy(inside),
+        far=torch.from_numpy(far),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -12,12 +13,17 @@ from torch import Tensor
 
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.model.losses import clamped_l1
-from neuralgrasps.model.mlp_data import SceneSamples
+from neuralgrasps.model.mlp_data import ObjectScenes, SceneSamples
 from neuralgrasps.model.mlp_field import MlpDecoder, MlpField
 from neuralgrasps.model.mlp_loss import triplet_of_distances
 from neuralgrasps.seeds import child_seed
 
+NEAREST_POINTS = 128  # of a scene, to compare all known codes by
 NEAR_SURFACE = 0.01  # samples this near the object's surface (normalised) stand for it
+
+
+Progress = Callable[[int, int, float], None]
+"""Called as progress(steps done, all steps, mean loss of the scenes)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,6 +65,12 @@ class MlpInferConfig:
             raise InputError(f"start is '{self.start}'; expected 'zero', 'nearest' or 'mean'.")
 
 
+PUBLISHED = MlpInferConfig()
+"""800 steps from near 0, as published (with no contact term)."""
+PLACED = MlpInferConfig(steps=200, points=256, rate=0.05, schedule="cosine", start="nearest")
+"""From the known code that explains the samples best; meant for use with contact maps."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MlpInferResult:
     """Codes (N, D) float32 and the (N,) float32 SDF loss of each, object plus hand, normalised units."""
@@ -98,6 +110,7 @@ def infer_codes(
     known: np.ndarray | None = None,
     contact: ContactTerm | None = None,
     config: MlpInferConfig | None = None,
+    progress: Progress | None = None,
 ) -> MlpInferResult:
     """Codes of N scenes from their SDF samples; all scenes at once, weights fixed, dropout off, as published 800 steps.
 
@@ -143,6 +156,8 @@ def infer_codes(
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
+        if progress is not None:
+            progress(step + 1, config.steps, float(loss.detach()) / len(rows))
     with torch.no_grad():
         losses = _scene_losses(field, samples, codes, config)
     decoder.fast = was_fast
@@ -203,7 +218,7 @@ def _start_codes(field: MlpField, samples: SceneSamples, known: np.ndarray | Non
 
 def nearest_known(field: MlpField, samples: SceneSamples, known: Tensor, config: MlpInferConfig) -> Tensor:
     """(N,) int64: of the codes `known` (K, D), the one whose decoded distances fit the samples of each scene best."""
-    rows = _drawn(samples, config.points, config.seed, -1)
+    rows = _drawn(samples, min(config.points, NEAREST_POINTS), config.seed, -1)
     target = rows[..., 3:].clamp(-field.clamp, field.clamp)
     best = []
     with torch.no_grad():
@@ -218,3 +233,27 @@ def _scene_losses(field: MlpField, samples: SceneSamples, codes: Tensor, config:
     rows = _drawn(samples, config.points, config.seed, config.steps)
     out = _decoded(field.decoder, rows[..., :3], codes, config)
     return 2.0 * (out - rows[..., 3:].clamp(-field.clamp, field.clamp)).abs().mean(dim=(1, 2))
+
+
+def infer_scenes(
+    field: MlpField,
+    scenes: ObjectScenes,
+    *,
+    known: ObjectScenes,
+    known_codes: np.ndarray,
+    contact_points_O: np.ndarray | None = None,
+    config: MlpInferConfig | None = None,
+    progress: Progress | None = None,
+) -> MlpInferResult:
+    """Codes of unseen scenes from their SDF samples.
+
+    Args:
+        known, known_codes: the training scenes and their codes (K, D).
+        contact_points_O: (P, 3) the object's contact points, metres; given, the contact maps that the samples show
+            place the codes too. Without them the loss is the published one.
+    """
+    term = None
+    if contact_points_O is not None:
+        maps = maps_from_samples(scenes.samples, field.normalisation.to_unit(contact_points_O))
+        term = ContactTerm(maps=maps, known_maps=known.contact_maps)
+    return infer_codes(field, scenes.samples, known=known_codes, contact=term, config=config, progress=progress)

@@ -60,6 +60,11 @@ def chosen_device(device: torch.device | str | None) -> torch.device:
     return torch.device(device)
 
 
+def is_first_worker() -> bool:
+    """Whether this process is the one that writes files."""
+    return int(os.environ.get("RANK", "0")) == 0
+
+
 @contextmanager
 def workers_here(device: torch.device | str | None = None) -> Iterator[Workers]:
     """All processes that torchrun started (its environment says so), or this one alone."""

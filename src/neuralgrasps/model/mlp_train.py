@@ -136,7 +136,8 @@ class MlpTrainer:
         place = (step % self.per_epoch) * taken + torch.arange(taken, device=self.workers.device)
         scenes = order[place % count]
         generator.manual_seed(child_seed(config.seed, "draw", rank, step))
-        rows = self.samples.gather(scenes, self.samples.draw(scenes, config.step_points, generator))
+        places = self.samples.draw(scenes, config.step_points, generator, far_share=config.far_share)
+        rows = self.samples.gather(scenes, places)
         anchor = scenes.repeat_interleave(config.triplets_per_anchor)
         shape = (2, len(anchor))
         others = torch.randint(max(count - 1, 1), shape, generator=generator, device=self.workers.device)
