@@ -243,9 +243,19 @@ def test_dataset_build_resumes(ng: Call, pipeline: Pipeline) -> None:
 
 
 def test_evaluate_run_and_dataset(ng: Call, pipeline: Pipeline) -> None:
-    run = ng("evaluate", pipeline.run)
-    assert run.code == 0 and 0 <= run.result["mean_gap"] < 0.3
-    assert "Known grasps: pose and joints given" in run.out and "subsampling only" in run.result["measured_on"]
+    quick = ("--queries", 2000, "--workers", 1)
+    run = ng("evaluate", pipeline.run, *quick)
+    assert run.code == 0 and run.result["field"] == "KinematicField"
+    summary = {row["input"]: row for row in run.result["summary"]}
+    assert set(summary) == {"known", "observed all over", "observed in one view"}
+    assert all(-1e-9 <= row["gap"] < 0.3 for row in summary.values()) and summary["known"]["f_1mm"] == 1.0
+    assert "nothing is inferred" in run.out and "protocol, not of data" in run.result["comparison"]
+    both = ng("evaluate", pipeline.run, *quick, "--part", "both", "--no-observed")
+    assert [(row["part"], row["input"]) for row in both.result["summary"]] == [("test", "known"), ("train", "known")]
+    few = ng("evaluate", pipeline.run, "--queries", 10)
+    assert few.code == 2 and "expected at least 1000" in few.err
+    refused = ng("evaluate", pipeline.dataset, "--report", "page.html")
+    assert refused.code == 2 and "--report is of runs" in refused.err
     dataset = ng("evaluate", pipeline.dataset)
     assert dataset.code == 0 and dataset.result["grasps"] == 12
     assert all(p["held_share"] == 1 for p in dataset.result["pairs"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -216,13 +216,3 @@ def some_objects(grasp_sets: Sequence[GraspSet], names: Sequence[str]) -> list[G
     known = list(dict.fromkeys(g.object for g in grasp_sets))
     chosen = [name for name in names if name in known] or known[: len(names)]
     return [g for g in grasp_sets if g.object in chosen]
-
-
-def with_test_part(book: CodeBook, per_pair: int) -> CodeBook:
-    """A book with at most so many unseen grasps of each hand and object; all training grasps stay."""
-    keep = ~book.is_test
-    for hand in book.hands:
-        for name in book.objects:
-            rows = np.flatnonzero(book.where(hand=hand, object_name=name, is_test=True))
-            keep[rows[:per_pair]] = True
-    return replace(book[np.flatnonzero(keep)])
