@@ -155,9 +155,11 @@ def sample_posed_parts(
     area = part_areas(packed)
     kept: list[np.ndarray] = []
     owners: list[np.ndarray] = []
-    missing = count
+    missing, drawn = count, 0
     while missing > 0:
-        batch = int(1.3 * missing) + 64
+        share_kept = 0.7 if not drawn else max((count - missing) / drawn, 0.02)
+        batch = int(1.05 * missing / share_kept) + 64
+        drawn += batch
         shares = rng.multinomial(batch, area / area.sum())
         points = np.concatenate(
             [_part_points(packed, k, n, rng) @ X_OP[k, :3, :3].T + X_OP[k, :3, 3] for k, n in enumerate(shares) if n]
