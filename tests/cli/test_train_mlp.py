@@ -1,4 +1,3 @@
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,11 +10,11 @@ Call = Callable[..., Ended]
 
 
 def test_published_field_of_one_object(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
-    out, told = tmp_path / "run", tmp_path / "told.json"
+    out = tmp_path / "run"
     asked = ("train", pipeline.dataset, "--out", out, "--field", "mlp", "--threads", 1)
-    ended = ng(*asked, "--minutes", 0.02, "--json", told)
+    ended = ng(*asked, "--minutes", 0.02)
     assert ended.code == 0 and "gelatin_box" in ended.out
-    figures, run = json.loads(told.read_text()), load_mlp_run(out)
+    figures, run = ended.result, load_mlp_run(out)
     assert figures["finished"] and figures["samples"] == run.samples > 0
     assert run.field.object_name == "gelatin_box" and set(run.codebook.hands) == {"fetch", "panda"}
     assert run.codebook.is_test.sum() == 2 and run.codebook.metric_size == 128
