@@ -68,7 +68,9 @@ def test_the_cloud_of_another_hand_is_suspected(small_run, small_world) -> None:
 def test_wrong_clouds_are_suspected_and_why(small_run, small_world) -> None:
     """A mirrored hand is another hand; half a cloud is no whole one, unless it is said to be one view."""
     cloud = clouds_of(small_run.field, small_world.grasp_sets[1], [0], count=1000, noise=0.001)[0]
-    fitted = partial(infer_grasps, field=small_run.field, gallery=gallery_of(small_run), hand="allegro", object_name="ball")
+    fitted = partial(
+        infer_grasps, field=small_run.field, gallery=gallery_of(small_run), hand="allegro", object_name="ball"
+    )
     config = InferConfig(rounds=2)
     assert not fitted([cloud], config=config).suspect[0]
     (reasons,) = fitted([cloud * [-1.0, 1.0, 1.0]], config=config).reasons

@@ -11,7 +11,9 @@ def touching(small_run, small_world):
     book, grasps = small_run.codebook, small_world.grasp_sets[0]
     packed, sdf = small_run.field.packed["allegro"], small_world.objects["brick"].sdf
     rows = np.flatnonzero(book.where(hand="allegro", object_name="brick", is_test=False))
-    points = [hand_contacts(packed, sdf, np.array(grasps.X_OH[i]), np.array(grasps.q[i])) for i in book.grasp_index[rows]]
+    points = [
+        hand_contacts(packed, sdf, np.array(grasps.X_OH[i]), np.array(grasps.q[i])) for i in book.grasp_index[rows]
+    ]
     kept = [k for k, p in enumerate(points) if len(p) >= 3]
     assert len(kept) >= 5
     return rows[kept], [points[k] for k in kept]

@@ -26,9 +26,7 @@ def _unit(x, y, z):  # type: ignore[no-untyped-def]
 def _box_gradient(x, y, z, hx, hy, hz):  # type: ignore[no-untyped-def]
     dx, dy, dz = abs(x) - hx, abs(y) - hy, abs(z) - hz
     if dx > 0.0 or dy > 0.0 or dz > 0.0:
-        return _unit(
-            math.copysign(max(dx, 0.0), x), math.copysign(max(dy, 0.0), y), math.copysign(max(dz, 0.0), z)
-        )
+        return _unit(math.copysign(max(dx, 0.0), x), math.copysign(max(dy, 0.0), y), math.copysign(max(dz, 0.0), z))
     if dx >= dy and dx >= dz:
         return math.copysign(1.0, x), 0.0, 0.0
     if dy >= dz:

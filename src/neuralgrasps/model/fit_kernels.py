@@ -1,6 +1,6 @@
-"""Compiled least-squares fit of a hand's pose and joints to points on its surface, on exact distances. Torch-free.
+"""What a fit of a hand's pose and joints to points on its surface lowers, on exact distances, compiled. Torch-free.
 
-What is lowered is minus the logarithm of a posterior: exact distances of the observed points, surface that should have
+It is minus the logarithm of a posterior: exact distances of the observed points, surface that should have
 been observed, a Gaussian of postures, and what is true of grasps (the hand stays out of the object, its tips touch it).
 All rows of one link depend on its motion alone, so they are summed as one 6 x 6 matrix per link before the
 kinematics is applied: the cost of a point does not grow with the number of joints.
@@ -22,7 +22,6 @@ from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.hands.part_gradient import part_distance_gradient
 from neuralgrasps.hands.parts import part_distance
 from neuralgrasps.kinematics.tree import FIXED, REVOLUTE
-from neuralgrasps.model.spd import add_damped, solve_spd
 
 _BOX, _CAPSULE = int(PartKind.BOX), int(PartKind.CAPSULE)
 
@@ -40,7 +39,8 @@ class FitProblem(NamedTuple):
         probe: (R,) surface points whose distances to the object are looked at, sorted by link.
         touch_mean, touch_weight: (L,) usual least distance of a link's probes to the object, and its weight (0: none).
         touch_width: Cauchy's, for touching: some grasps do not touch with a link that usually does.
-        depth_weight: of each squared depth of a probe beyond `depth_free`; 0 leaves the object out; depth_width: Huber's.
+        depth_weight: of each squared depth of a probe beyond `depth_free`; 0 leaves the object out.
+        depth_width: Huber's for it.
         sdf_values, sdf_origin, sdf_inv_spacing: the object's grid, as in `geometry.sdf_grid`.
     """
 
@@ -307,7 +307,7 @@ def _assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
                 )
 
 
-class _Work(NamedTuple):
+class Work(NamedTuple):
     X_HL: np.ndarray
     X_PH: np.ndarray
     centre_H: np.ndarray
@@ -319,9 +319,9 @@ class _Work(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _new_work(packed, points):  # type: ignore[no-untyped-def]
+def new_work(packed, points):  # type: ignore[no-untyped-def]
     links, joints, parts = packed.parents.shape[0], packed.lower.shape[0], packed.part_link.shape[0]
-    return _Work(
+    return Work(
         np.empty((links, 4, 4)),
         np.empty((parts, 3, 4)),
         np.empty((parts, 3)),
@@ -353,7 +353,7 @@ def _posture_rows(problem, q, A, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _evaluate(packed, problem, X_OH, q, work, A, b):  # type: ignore[no-untyped-def]
+def evaluate(packed, problem, X_OH, q, work, A, b):  # type: ignore[no-untyped-def]
     """Cost at a pose and joints, and the Gauss-Newton matrix (lower triangle) and gradient of half of it."""
     pose_links(packed, q, work.X_HL)
     part_poses_H(packed, work.X_HL, work.X_PH, work.centre_H)
@@ -374,8 +374,8 @@ def _evaluate(packed, problem, X_OH, q, work, A, b):  # type: ignore[no-untyped-
 def fit_cost(packed, problem, X_OH, q):  # type: ignore[no-untyped-def]
     """The quantity that `fit_hand` lowers, square metres; arguments as there."""
     size = 6 + q.shape[0]
-    work = _new_work(packed, problem.points_O.shape[0])
-    return _evaluate(packed, problem, X_OH, q, work, np.empty((size, size)), np.empty(size))
+    work = new_work(packed, problem.points_O.shape[0])
+    return evaluate(packed, problem, X_OH, q, work, np.empty((size, size)), np.empty(size))
 
 
 @njit(cache=True, error_model="numpy")
@@ -383,98 +383,5 @@ def fit_gradient(packed, problem, X_OH, q):  # type: ignore[no-untyped-def]
     """(6 + J,) derivative of `fit_cost` by the base twist [v, w] in H and the joints."""
     size = 6 + q.shape[0]
     b = np.empty(size)
-    _evaluate(packed, problem, X_OH, q, _new_work(packed, problem.points_O.shape[0]), np.empty((size, size)), b)
+    evaluate(packed, problem, X_OH, q, new_work(packed, problem.points_O.shape[0]), np.empty((size, size)), b)
     return 2.0 * b
-
-
-@njit(cache=True, error_model="numpy")
-def moved_pose(X, step, out):  # type: ignore[no-untyped-def]
-    """X times the motion [v, w] = step[:6] (rotation vector w, translation v) into `out`."""
-    wx, wy, wz = step[3], step[4], step[5]
-    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
-    a = math.sin(angle) / angle if angle > 1e-12 else 1.0
-    c = (1.0 - math.cos(angle)) / (angle * angle) if angle > 1e-6 else 0.5
-    xx, yy, zz = wx * wx, wy * wy, wz * wz
-    columns = (
-        (1.0 - c * (yy + zz), c * wx * wy + a * wz, c * wx * wz - a * wy),
-        (c * wx * wy - a * wz, 1.0 - c * (xx + zz), c * wy * wz + a * wx),
-        (c * wx * wz + a * wy, c * wy * wz - a * wx, 1.0 - c * (xx + yy)),
-    )
-    for j in range(3):
-        x, y, z = columns[j]
-        for i in range(3):
-            out[i, j] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
-    for i in range(3):
-        out[i, 3] = X[i, 0] * step[0] + X[i, 1] * step[1] + X[i, 2] * step[2] + X[i, 3]
-
-
-@njit(cache=True, error_model="numpy")
-def _hold_limits(packed, q, A, b):  # type: ignore[no-untyped-def]
-    """Joints pressed against a limit stay there."""
-    for j in range(q.shape[0]):
-        if (q[j] <= packed.lower[j] and b[6 + j] > 0.0) or (q[j] >= packed.upper[j] and b[6 + j] < 0.0):
-            A[6 + j, : 6 + j] = 0.0
-            A[7 + j :, 6 + j] = 0.0
-            b[6 + j] = 0.0
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def fit_hand(packed, problem, X_OH, q, iterations):  # type: ignore[no-untyped-def]
-    """Levenberg-Marquardt in place; (cost, iterations done, converged).
-
-    Args:
-        packed: the hand; problem: a `FitProblem`.
-        X_OH: (4, 4), q: (J,): start, overwritten by the result; joints stay within their limits.
-    """
-    size = 6 + q.shape[0]
-    A, b, A_new, b_new = np.empty((size, size)), np.empty(size), np.empty((size, size)), np.empty(size)
-    damped, step = np.empty((size, size)), np.empty(size)
-    X_new, q_new = X_OH.copy(), q.copy()
-    work = _new_work(packed, problem.points_O.shape[0])
-    damping = 1e-2
-    cost = _evaluate(packed, problem, X_OH, q, work, A, b)
-    for iteration in range(iterations):
-        _hold_limits(packed, q, A, b)
-        improved, trial = False, cost
-        for _ in range(6):
-            add_damped(A, damping, 1e-10, damped)
-            if solve_spd(damped, b, step):
-                for i in range(size):
-                    step[i] = -step[i]
-                moved_pose(X_OH, step, X_new)
-                for j in range(q.shape[0]):
-                    q_new[j] = min(max(q[j] + step[6 + j], packed.lower[j]), packed.upper[j])
-                trial = _evaluate(packed, problem, X_new, q_new, work, A_new, b_new)
-                if trial < cost:
-                    improved = True
-                    break
-            damping *= 5.0
-        if not improved:
-            return cost, iteration + 1, True
-        gain = cost - trial
-        X_OH[:] = X_new
-        q[:] = q_new
-        A, A_new = A_new, A
-        b, b_new = b_new, b
-        cost = trial
-        damping = max(0.2 * damping, 1e-6)
-        if gain < 1e-4 * cost + 1e-14:
-            return cost, iteration + 1, True
-    return cost, iterations, False
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def score_starts(packed, problem, X_OH, q, out):  # type: ignore[no-untyped-def]
-    """`fit_cost` of N starts X_OH (N, 4, 4), q (N, J) into `out` (N,)."""
-    size = 6 + q.shape[1]
-    work = _new_work(packed, problem.points_O.shape[0])
-    A, b = np.empty((size, size)), np.empty(size)
-    for i in range(q.shape[0]):
-        out[i] = _evaluate(packed, problem, X_OH[i], q[i], work, A, b)
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def fit_starts(packed, problem, X_OH, q, iterations, cost, stopped):  # type: ignore[no-untyped-def]
-    """`fit_hand` of N starts in place; their costs into `cost` (N,), whether they converged into `stopped` (N,)."""
-    for i in range(q.shape[0]):
-        cost[i], _, stopped[i] = fit_hand(packed, problem, X_OH[i], q[i], iterations)

@@ -62,9 +62,7 @@ def grasp_prior(packed: PackedHand, sdf: SdfGrid, X_OH: np.ndarray, q: np.ndarra
     )
 
 
-def least_distances(
-    packed: PackedHand, sdf: SdfGrid, X_OH: np.ndarray, q: np.ndarray, probe: np.ndarray
-) -> np.ndarray:
+def least_distances(packed: PackedHand, sdf: SdfGrid, X_OH: np.ndarray, q: np.ndarray, probe: np.ndarray) -> np.ndarray:
     """(N, L) least distance of each link's probes to the object, metres; inf for links without probes."""
     out = np.full((len(q), len(packed.parents)), np.inf)
     links = packed.point_link[probe]

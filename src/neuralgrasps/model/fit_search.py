@@ -17,8 +17,9 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
-from neuralgrasps.model.fit_kernels import FitProblem, fit_cost, fit_hand, fit_starts, score_starts
+from neuralgrasps.model.fit_kernels import FitProblem, fit_cost
 from neuralgrasps.model.fit_prior import DEPTH_SD_M, GraspPrior, posed_points
+from neuralgrasps.model.fit_solver import fit_hand, fit_starts, score_starts
 from neuralgrasps.model.fit_view import visible_points
 
 MIN_NOISE_M = 0.0003  # models and sensors are no better; keeps the priors from vanishing on clean points
@@ -176,10 +177,7 @@ class CloudSearch:
         excess, turn = np.inf, 0
         for turn in range(self.config.rounds):
             self.trust = PRIOR_TRUST ** max(turn - 2, 0)
-            if turn == 0:
-                starts = gallery
-            else:
-                starts = self.turned(gallery) if turn % 2 else self.varied(gallery, found)
+            starts = gallery if turn == 0 else self.turned(gallery) if turn % 2 else self.varied(gallery, found)
             found = self.ranked(found + self.round(starts))
             excess = self.update_noise(found[0])
             if excess <= self.config.good:
@@ -240,9 +238,7 @@ class CloudSearch:
         assert self.viewpoint_O is not None
         chosen, sdf = self.prior.material, self.sdf
         out = np.zeros(len(chosen), np.bool_)
-        visible_points(
-            self.packed, chosen, X_OH, q, self.viewpoint_O, sdf.values, sdf.origin, sdf.inv_spacing, out
-        )
+        visible_points(self.packed, chosen, X_OH, q, self.viewpoint_O, sdf.values, sdf.origin, sdf.inv_spacing, out)
         return out
 
     def distances(self, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -279,7 +275,7 @@ class CloudSearch:
         return [fits[i] for i in self.different(some, np.arange(len(fits)), len(fits))]
 
     def turned(self, gallery: Starts) -> Starts:
-        """Known grasps turned about the object's middle to where the points are, rolled at random about that direction."""
+        """Known grasps turned about the object's middle to where the points are, rolled about that direction."""
         c, rng = self.config, self.rng
         count = c.variations
         donor = rng.integers(len(gallery), size=count)
@@ -294,7 +290,9 @@ class CloudSearch:
         axis = np.cross(away, wanted)
         sine = np.linalg.norm(axis, axis=1, keepdims=True)
         angle = np.arctan2(sine, (away * wanted).sum(axis=1, keepdims=True))
-        turn = Rotation.from_rotvec(wanted * rng.uniform(-np.pi, np.pi, (count, 1))) * Rotation.from_rotvec(axis / np.maximum(sine, 1e-9) * angle)
+        turn = Rotation.from_rotvec(wanted * rng.uniform(-np.pi, np.pi, (count, 1))) * Rotation.from_rotvec(
+            axis / np.maximum(sine, 1e-9) * angle
+        )
         turn = Rotation.from_rotvec(rng.normal(scale=c.vary_rad, size=(count, 3))) * turn
         R = turn.as_matrix()
         X[:, :3, 3] = np.einsum("nij,nj->ni", R, X[:, :3, 3] - hand) + goal
@@ -318,7 +316,9 @@ class CloudSearch:
         X[fresh], q[fresh] = gallery.X_OH[donor[fresh]], gallery.q[donor[fresh]]
         shaken = fresh | (rng.random(count) < 0.5)
         size = np.where(shaken, 1.0, 0.0)[:, None]
-        X[:, :3, :3] = X[:, :3, :3] @ Rotation.from_rotvec(size * rng.normal(scale=c.vary_rad, size=(count, 3))).as_matrix()
+        X[:, :3, :3] = (
+            X[:, :3, :3] @ Rotation.from_rotvec(size * rng.normal(scale=c.vary_rad, size=(count, 3))).as_matrix()
+        )
         X[:, :3, 3] += size * rng.normal(scale=c.vary_m, size=(count, 3))
         span = self.packed.upper - self.packed.lower
         q = q + size * rng.normal(scale=c.vary_joint, size=q.shape) * span

@@ -21,8 +21,9 @@ from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.grasps.contact import MAX_PER_LINK, THRESHOLD_M, find_contacts
 from neuralgrasps.hands.packed import PackedHand, hand_distance_many
 from neuralgrasps.model.codes import CodeBook
-from neuralgrasps.model.fit_kernels import FitProblem, fit_starts
+from neuralgrasps.model.fit_kernels import FitProblem
 from neuralgrasps.model.fit_prior import DEPTH_SD_M, GraspPrior, grasp_prior
+from neuralgrasps.model.fit_solver import fit_starts
 from neuralgrasps.model.infer import contact_codes
 from neuralgrasps.model.kinematic_field import KinematicField
 
