@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -94,10 +95,14 @@ class MlpDecoder(nn.Module):
             out = functional.linear(hidden.to(points.dtype), self.last.weight, self.last.bias)
         return torch.tanh(out).reshape(*points.shape[:2], 2)
 
+    def _layers(self) -> list[nn.Linear]:
+        return [layer for layer in self.hidden if isinstance(layer, nn.Linear)]
+
     def _plain(self, points: Tensor, codes: Tensor) -> Tensor:
         config = self.config
-        x = self._given(self.hidden[0].weight, self.hidden[0].bias, points, codes)
-        for i, linear in enumerate(self.hidden):
+        layers = self._layers()
+        x = self._given(layers[0].weight, layers[0].bias, points, codes)
+        for i, linear in enumerate(layers):
             if i in config.skip_layers:
                 inside = x.shape[1]
                 skipped = self._given(linear.weight[:, inside:], None, points, codes)
@@ -132,8 +137,8 @@ class MlpDecoder(nn.Module):
             step=self.dropout_step,
         )
         running = [(n.running_mean.double().numpy(), n.running_var.double().numpy()) for n in norms]  # type: ignore[union-attr]
-        first = self.hidden[0].weight
-        weights = [first[:, :3], *(layer.weight for layer in list(self.hidden)[1:])]
+        first, *others = (layer.weight for layer in self._layers())
+        weights = [first[:, :3], *others]
         with torch.autocast("cpu", enabled=False):
             code_part = functional.linear(codes, first[:, 3:])
         gains, biases = [n.weight for n in norms], [n.bias for n in norms]
@@ -211,7 +216,9 @@ class MlpField:
         out = self.decoder(unit, codes.to(unit.dtype)) * frame.scale_m
         return FieldOutput(sdf_object=out[..., 0], sdf_hand=out[..., 1])
 
-    def distance(self, code: np.ndarray, shape: Literal["object", "hand"], *, batch: int = 16_384):  # type: ignore[no-untyped-def]
+    def distance(
+        self, code: np.ndarray, shape: Literal["object", "hand"], *, batch: int = 16_384
+    ) -> Callable[[np.ndarray], np.ndarray]:
         """The signed distance to one shape of a code (D,), as a function of points (M, 3) -> (M,), metres."""
         which = 0 if shape == "object" else 1
         z = torch.as_tensor(np.asarray(code, np.float32), device=self.device)[None]

@@ -39,13 +39,13 @@ def _bits_of_float(typingctx: Any, value: Any) -> Any:
 
 @njit(cache=True, inline="always")
 def _widen(value):  # type: ignore[no-untyped-def]
-    return _float_of_bits(np.uint32(np.uint32(value) << np.uint32(16)))
+    return _float_of_bits(np.uint32(np.uint32(value) << np.uint32(16)))  # type: ignore[call-arg]
 
 
 @njit(cache=True, inline="always")
 def _narrow(value):  # type: ignore[no-untyped-def]
     """Nearest bf16, ties to even; finite values and infinities only."""
-    bits = _bits_of_float(value)
+    bits = _bits_of_float(value)  # type: ignore[call-arg, var-annotated]
     odd = np.uint32((bits >> np.uint32(16)) & np.uint32(1))
     return np.uint16(np.uint32(bits + np.uint32(0x7FFF) + odd) >> np.uint32(16))
 
