@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from neuralgrasps.errors import InputError, MeshError, ShapeError
 from neuralgrasps.geometry.mesh import Mesh, box_mesh, capsule_mesh, face_areas_normals, signed_distance
-from neuralgrasps.geometry.sampling import cover, even_surface_points, farthest_points, sample_surface
+from neuralgrasps.geometry.sampling import cover, even_subset, even_surface_points, farthest_points, sample_surface
 
 HALF = np.array([0.03, 0.05, 0.02])
 
@@ -103,3 +103,24 @@ def test_cover_is_that_of_the_plain_algorithm(radius):
             break
         chosen.append(int(nearest.argmax()))
     np.testing.assert_array_equal(cover(points, radius), chosen)
+
+
+def test_an_even_subset_has_the_number_asked_for_and_no_two_close_together() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(6000, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    for count in (1, 50, 500, 6000):
+        chosen = even_subset(points, count)
+        assert len(chosen) == count == len(set(chosen)) and (np.diff(chosen) > 0).all()
+    chosen = points[even_subset(points, 500)]
+    apart = np.linalg.norm(chosen[:, None] - chosen[None], axis=2) + 9.0 * np.eye(500)
+    # 500 discs of this diameter on the sphere: random ones that touch no other fill about half of it
+    assert apart.min() > 0.75 * np.sqrt(4 * np.pi / 500)
+    assert np.array_equal(even_subset(np.zeros((7, 3)), 7), np.arange(7))
+    with pytest.raises(InputError, match="count is 8"):
+        even_subset(np.zeros((7, 3)), 8)
+
+
+def test_points_that_coincide_are_still_as_many_as_asked_for() -> None:
+    points = np.repeat(np.eye(3), 5, axis=0)
+    assert len(even_subset(points, 4)) == 4

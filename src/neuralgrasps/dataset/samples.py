@@ -58,8 +58,9 @@ class SdfSamples:
     Attributes:
         points_O: (N, M, 3) float32; of each scene the first M/2 were drawn around the object, the rest
             around the hand.
-        sdf_object, sdf_hand: (N, M) float32, exact at `points_O` up to the rounding to float32, but for points inside
-            several overlapping parts of a hand: the union's surface may be farther off than |sdf_hand| there.
+        sdf_object, sdf_hand: (N, M) float32, exact at `points_O` up to the rounding to float32, but for a few points
+            inside several parts of a hand (of those inside the built-in hands 1 %): the union's surface is farther off
+            than |sdf_hand| there. `evaluate.label_error.hand_depth_bound` measures them.
         hand_index: (N,) int32 index into the dataset's hand names.
     """
 

@@ -11,6 +11,8 @@ from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError, MeshError, ShapeError
 from neuralgrasps.geometry.mesh_topology import Mesh, face_areas_normals
 
+_EVEN_ROUNDS = 24  # 5 are usual; points that coincide never come apart
+
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64]
 
@@ -227,7 +229,9 @@ def even_subset(points: np.ndarray, count: int) -> IndexArray:
     chosen = np.arange(len(points))
     low, high = 0.0, math.inf
     distance = float(np.ptp(points, axis=0).max()) / math.sqrt(count)
-    while len(chosen) > 1.01 * count and high - low > 1e-3 * distance:
+    for _ in range(_EVEN_ROUNDS):
+        if len(chosen) <= 1.01 * count or not distance > 0.0:
+            break
         kept = _thin(points, distance)
         if len(kept) >= count:
             low, chosen = distance, kept
