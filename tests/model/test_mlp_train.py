@@ -124,6 +124,20 @@ def test_triplet_by_hand_on_three_maps() -> None:
     assert float(triplet_of_distances(fitting, zero, one, two, torch.tensor([3.0]), torch.tensor([5.0]))) == 0.0
 
 
+def test_steps_draw_every_scene_alike_and_triplets_of_others(scenes: ObjectScenes) -> None:
+    config = replace(SMALL, step_scenes=4, points_per_scene=128, triplets_per_anchor=50)
+    trainer = MlpTrainer(scenes, config, HERE)
+    assert trainer.per_epoch == 3
+    for epoch in range(3):
+        batches = [trainer.batch(3 * epoch + k) for k in range(3)]
+        assert np.bincount(torch.cat([b.scenes for b in batches]), minlength=6).tolist() == [2] * 6
+        for b in batches:
+            assert (b.anchor != b.first).all() and (b.anchor != b.second).all()
+            assert set(b.first.tolist()) | set(b.second.tolist()) == set(range(6))
+            maps = torch.as_tensor(scenes.contact_maps)
+            assert torch.allclose(b.map_first, (maps[b.anchor] - maps[b.first]).norm(dim=1), atol=1e-5)
+
+
 def test_training_lowers_the_loss_and_repeats(scenes: ObjectScenes) -> None:
     config = replace(SMALL, epochs=120)
     a, b = (train_mlp(scenes, config=config, device="cpu") for _ in range(2))
