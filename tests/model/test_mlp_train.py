@@ -1,5 +1,6 @@
 import json
 import os
+import socket
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -368,12 +369,11 @@ with workers_here("cpu") as workers:
 
 
 def test_two_processes_train_one_model_on_different_batches() -> None:
-    environment = os.environ | {
-        "WORLD_SIZE": "2",
-        "MASTER_ADDR": "127.0.0.1",
-        "MASTER_PORT": "29577",
-        "OMP_NUM_THREADS": "1",
-    }
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    together = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "OMP_NUM_THREADS": "1"}
+    environment = os.environ | together
     command = [sys.executable, "-c", WORKER, json.dumps(asdict(SMALL))]
     processes = [
         subprocess.Popen(command, env=environment | {"RANK": str(k), "LOCAL_RANK": str(k)}, stdout=subprocess.PIPE)

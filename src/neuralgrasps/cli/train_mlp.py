@@ -118,6 +118,7 @@ def _packed(data: GraspDataset, hands: tuple[str, ...]):  # type: ignore[no-unty
 
 def _config(terminal: Terminal, options: MlpOptions, scenes: ObjectScenes) -> MlpTrainConfig:
     from neuralgrasps.model.mlp_bench import training_rate
+    from neuralgrasps.model.mlp_parallel import worker_count
     from neuralgrasps.model.mlp_schedule import PRESETS, shortened
 
     if options.preset not in PRESETS:
@@ -126,6 +127,8 @@ def _config(terminal: Terminal, options: MlpOptions, scenes: ObjectScenes) -> Ml
         raise InputError("--minutes and --epochs were both given; give the one that the schedule's length comes from.")
     if options.minutes is not None and not options.minutes > 0.0:
         raise InputError(f"--minutes is {options.minutes}; expected more than 0.")
+    if options.minutes is not None and worker_count() > 1:
+        raise InputError("--minutes measures the rate of one process; with several, give --epochs.")
     config = replace(PRESETS[options.preset], seed=options.seed, threads=options.threads)
     if options.epochs is not None:
         return replace(config, epochs=options.epochs)

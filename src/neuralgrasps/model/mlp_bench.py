@@ -71,7 +71,7 @@ def training_rate(
         threads: of torch on processors; the config's when None.
     """
     config = replace(config, threads=threads or config.threads)
-    with torch_threads(config.threads), torch.random.fork_rng(), workers_here(device) as workers:
+    with workers_here(device) as workers, torch_threads(config.threads), workers.own_randomness():
         trainer = MlpTrainer(made_up_scenes(scenes), config, workers)
         for _ in range(WARM_UP_STEPS):
             trainer.one_step()

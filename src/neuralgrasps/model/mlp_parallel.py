@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -33,6 +33,11 @@ class Workers:
         ids = [self.device.index] if self.device.type == "cuda" else None
         return DistributedDataParallel(model, device_ids=ids)
 
+    def own_randomness(self) -> AbstractContextManager[None]:
+        """Inside, torch's global generators may be seeded; afterwards they are as before."""
+        devices = [self.device] if self.device.type == "cuda" else []
+        return torch.random.fork_rng(devices=devices)
+
     def any(self, flag: bool) -> bool:
         """Whether any worker says so; all get the same answer."""
         if self.count == 1:
@@ -48,16 +53,24 @@ def chosen_device(device: torch.device | str | None) -> torch.device:
     Raises:
         DeviceError: it is not there.
     """
+    local = int(os.environ.get("LOCAL_RANK", "0"))
     if device is None:
-        local = int(os.environ.get("LOCAL_RANK", "0"))
         return torch.device("cuda", local) if torch.cuda.is_available() else torch.device("cpu")
     try:
-        torch.zeros(1, device=device)
+        chosen = torch.device(device)
+        if chosen.type == "cuda" and chosen.index is None:
+            chosen = torch.device("cuda", local)
+        torch.zeros(1, device=chosen)
     except (RuntimeError, AssertionError) as error:
         raise DeviceError(
-            f"device '{device}' cannot be used: {error}. Expected 'cpu', or 'cuda' with a GPU."
+            f"device '{device}' cannot be used: {error}. Expected 'cpu', or 'cuda' where there is a GPU."
         ) from error
-    return torch.device(device)
+    return chosen
+
+
+def worker_count() -> int:
+    """How many processes train together."""
+    return int(os.environ.get("WORLD_SIZE", "1"))
 
 
 def is_first_worker() -> bool:
@@ -68,11 +81,13 @@ def is_first_worker() -> bool:
 @contextmanager
 def workers_here(device: torch.device | str | None = None) -> Iterator[Workers]:
     """All processes that torchrun started (its environment says so), or this one alone."""
-    count = int(os.environ.get("WORLD_SIZE", "1"))
+    count = worker_count()
     mine = chosen_device(device)
     if count == 1:
         yield Workers(rank=0, count=1, device=mine)
         return
+    if mine.type == "cuda":
+        torch.cuda.set_device(mine)
     joined = not distributed.is_initialized()
     if joined:
         distributed.init_process_group("nccl" if mine.type == "cuda" else "gloo")

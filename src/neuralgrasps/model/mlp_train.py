@@ -72,7 +72,7 @@ def train_mlp(
         DataFormatError: the checkpoint is damaged or belongs to another training.
     """
     config = config or MlpTrainConfig()
-    with workers_here(device) as workers, torch_threads(config.threads), torch.random.fork_rng():
+    with workers_here(device) as workers, torch_threads(config.threads), workers.own_randomness():
         trainer = MlpTrainer(scenes, config, workers)
         if resume and folder is not None:
             trainer.restore(folder)
