@@ -21,6 +21,7 @@ from neuralgrasps.errors import (
 )
 
 if TYPE_CHECKING:
+    from neuralgrasps.apply.novel import novel_grasps
     from neuralgrasps.apply.retrieve import retrieve
     from neuralgrasps.dataset.build import build_dataset
     from neuralgrasps.dataset.collect import collect_grasps
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from neuralgrasps.hands.zoo import hand_names, load_hand
     from neuralgrasps.model.checkpoint import load_run, save_run
     from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps
+    from neuralgrasps.model.infer_contacts import encode_contacts
     from neuralgrasps.model.kinematic_field import KinematicField
     from neuralgrasps.model.train import TrainConfig, train
     from neuralgrasps.objects.object_model import ObjectModel
@@ -64,6 +66,7 @@ _HOMES = {
     "collect_grasps": "dataset.collect",
     "contact_map": "grasps.contact_map",
     "download_ycb": "objects.ycb",
+    "encode_contacts": "model.infer_contacts",
     "encode_points": "model.infer",
     "estimate_pose": "perception.pose",
     "hand_names": "hands.zoo",
@@ -74,6 +77,7 @@ _HOMES = {
     "load_hand": "hands.zoo",
     "load_object": "objects.zoo",
     "load_run": "model.checkpoint",
+    "novel_grasps": "apply.novel",
     "object_names": "objects.zoo",
     "read_dataset": "dataset.read",
     "retrieve": "apply.retrieve",
@@ -112,6 +116,7 @@ __all__ = [
     "collect_grasps",
     "contact_map",
     "download_ycb",
+    "encode_contacts",
     "encode_points",
     "estimate_pose",
     "hand_names",
@@ -121,6 +126,7 @@ __all__ = [
     "load_hand",
     "load_object",
     "load_run",
+    "novel_grasps",
     "object_names",
     "observe_hand",
     "read_dataset",

@@ -86,13 +86,14 @@ def _run_at(path: Path) -> Path | None:
 
 
 def open_run(folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Run:
-    """A run with its hands and objects, found where they were when it was made, or given."""
+    """A run, by folder or by the name of a shipped one, with its hands and objects: given, or found where they were."""
     import json
 
     from neuralgrasps.cli.models import hands_of
     from neuralgrasps.errors import DataFormatError
-    from neuralgrasps.model.checkpoint import RUN_FILE, load_run
+    from neuralgrasps.model.checkpoint import RUN_FILE, load_run, run_folder
 
+    folder = run_folder(folder)
     try:
         names = json.loads((folder / RUN_FILE).read_bytes())
         hand_names, object_names = list(names["hands"]), list(names["objects"])

@@ -111,14 +111,17 @@ def run_folder(name_or_path: str | Path) -> Path:
     """The folder of a run: a folder as it is, or by the name of a shipped run (a folder of that name comes first).
 
     Raises:
-        UnknownNameError: neither.
+        InputError: neither.
     """
     path = Path(name_or_path)
     if path.is_dir():
         return path
     if str(name_or_path) in shipped_runs():
         return Path(str(resources.files("neuralgrasps") / "assets" / "runs" / str(name_or_path)))
-    raise unknown_name("run", str(name_or_path), shipped_runs())
+    raise InputError(
+        f"'{name_or_path}' is neither a folder that `train` wrote nor a run of this library: "
+        f"{', '.join(shipped_runs())}."
+    )
 
 
 def _write_grasps(folder: Path, grasps: Sequence[GraspSet], field: KinematicField) -> dict[str, str]:
