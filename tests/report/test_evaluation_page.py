@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from neuralgrasps.model.train import TrainResult
 from neuralgrasps.report.charts import legend_html, scatter_svg
 from neuralgrasps.report.content import DemoReport, LatentMap
 from neuralgrasps.report.evaluation_page import write_evaluation
-from neuralgrasps.report.evaluation_tables import chamfer_table, summary_table
+from neuralgrasps.report.evaluation_tables import chamfer_table, summary_table, surface_matrix, surface_table
 from neuralgrasps.report.latent_section import letter_of
 from neuralgrasps.report.page import report_html
 
@@ -108,3 +109,17 @@ def test_tables_say_how_columns_stand_to_the_paper() -> None:
     assert "paper's figure: 1 columns. Above it: 1. Above it where a perfect field is too: 1." in table.meaning
     assert "KinematicField" in table.title and KNOWN in table.title
     assert summary_table(three_columns(0.002)).rows[0][0] == "Unseen grasps, known"
+
+
+def test_rounding_errors_of_known_grasps_make_no_table() -> None:
+    from neuralgrasps.evaluate.run_scores import ONE_VIEW  # noqa: PLC0415
+    from tests.evaluate.test_run_evaluate import three_columns  # noqa: PLC0415
+
+    scores = three_columns(0.002)
+    assert surface_table(scores, "test", KNOWN).rows == surface_matrix(scores, "test", KNOWN).rows == ()
+    seen = replace(scores, hands=tuple(replace(r, input=ONE_VIEW, surface_mean_mm=0.5) for r in scores.hands))
+    assert [row[:3] for row in surface_table(seen, "test", ONE_VIEW).rows] == [
+        ("fetch", 1, "0.500"),
+        ("barrett", 1, "0.500"),
+    ]
+    assert surface_matrix(seen, "test", ONE_VIEW).rows == (("cracker box", "0.50 / 0.00", "0.50 / 0.00"),)

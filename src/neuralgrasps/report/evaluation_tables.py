@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from neuralgrasps.evaluate.run_scores import INPUTS, HandRow, ObjectRow, RunScores, SimilarityRow
+from neuralgrasps.evaluate.run_scores import INPUTS, KNOWN, HandRow, ObjectRow, RunScores, SimilarityRow
 from neuralgrasps.report.content import Table
 from neuralgrasps.report.sections import pretty_name
 
 _WHOSE = {"test": "Unseen grasps", "train": "Training grasps"}
 _PERFECT = "a perfect field"
+_SURFACES = ("mean", "median", "p95")
 
 
 def tables_of(scores: RunScores) -> tuple[Table, ...]:
@@ -19,6 +20,7 @@ def tables_of(scores: RunScores) -> tuple[Table, ...]:
         tables += [
             chamfer_table(scores, part, given),
             surface_table(scores, part, given),
+            surface_matrix(scores, part, given),
             similarity_table(scores, part, given),
         ]
     return (summary_table(scores), *(t for t in tables if t.rows), times_table(scores))
@@ -84,40 +86,53 @@ def _chamfer_text(row: HandRow | ObjectRow | None) -> str | None:
 
 
 def surface_table(scores: RunScores, part: str, given: str) -> Table:
-    """Honest millimetres, by object and hand."""
-    rows = [r for r in scores.hands if (r.part, r.input) == (part, given)]
-    inferred = any(r.infer_ms is not None for r in rows)
-    columns = (
-        "object",
-        "hand",
-        "grasps",
-        "mean, mm",
-        "median",
-        "p95",
-        "F at 1 mm",
-        "at 2 mm",
-        "contact error",
-        "its p95",
-    )
+    """Honest millimetres by hand, over all objects; no rows for known grasps, whose errors are rounding."""
+    rows = [r for r in scores.hands if (r.part, r.input) == (part, given) and given != KNOWN]
     body = []
-    for r in rows:
-        own = (r.surface_mean_mm, r.surface_median_mm, r.surface_p95_mm)
-        more = (f"{r.wrong}", None if r.infer_ms is None else float(r.infer_ms)) if inferred else ()
+    for hand in dict.fromkeys(r.hand for r in rows):
+        own = [r for r in rows if r.hand == hand]
+        infer = [r.infer_ms for r in own if r.infer_ms is not None]
         body.append(
             (
-                pretty_name(r.object), r.hand, r.grasps, *map(_plain, own), f"{r.f_1mm:.3f}", f"{r.f_2mm:.3f}",
-                f"{r.contact_error_mean:.4f}", f"{r.contact_error_p95:.4f}", *more,
+                hand, sum(r.grasps for r in own), *(f"{_mean(own, f'surface_{k}_mm'):.3f}" for k in _SURFACES),
+                *(f"{_mean(own, k):.3f}" for k in ("f_1mm", "f_2mm")),
+                *(f"{_mean(own, f'contact_error_{k}'):.4f}" for k in ("mean", "p95")),
+                f"{sum(r.wrong for r in own)}", sum(infer) / len(infer) if infer else None,
             )
         )  # fmt: skip
     return Table(
         title=f"Hand surfaces: {_WHOSE[part].lower()}, {given} ({scores.field})",
-        columns=(*columns, "wrong by 10 mm", "infer, CPU ms") if inferred else columns,
+        columns=(
+            "hand", "grasps", "mean, mm", "median", "p95", "F at 1 mm", "at 2 mm", "contact error", "its p95",
+            "wrong by 10 mm", "infer, CPU ms",
+        ),
         rows=tuple(body),
         meaning="Distance between decoded and true hand, from points of each surface to the other, exact. F-score: "
         "harmonic mean of the shares of either surface within 1 or 2 mm of the other. Contact error: |difference| of "
-        "the "
-        "contact maps of decoded and true hand, over the object's contact points.",
+        "the contact maps of decoded and true hand, over the object's contact points.",
+        how="Means over the objects of what is measured on each: mean, median and 95th percentile over the surface "
+        "points of its grasps.",
+    )  # fmt: skip
+
+
+def surface_matrix(scores: RunScores, part: str, given: str) -> Table:
+    """Mean surface error and its 95th percentile of every object and hand; no rows for known grasps."""
+    rows = [r for r in scores.hands if (r.part, r.input) == (part, given) and given != KNOWN]
+    hands = list(dict.fromkeys(r.hand for r in rows))
+    cells = {(r.object, r.hand): f"{r.surface_mean_mm:.2f} / {r.surface_p95_mm:.2f}" for r in rows}
+    return Table(
+        title=f"Hand surfaces by object, mm: {_WHOSE[part].lower()}, {given} ({scores.field})",
+        columns=("object", *hands),
+        rows=tuple(
+            (pretty_name(name), *(cells.get((name, hand)) for hand in hands))
+            for name in dict.fromkeys(r.object for r in rows)
+        ),
+        meaning="Mean / 95th percentile over the surface points.",
     )
+
+
+def _mean(rows: Sequence[HandRow], name: str) -> float:
+    return sum(getattr(r, name) for r in rows) / len(rows)
 
 
 def similarity_table(scores: RunScores, part: str, given: str) -> Table:
