@@ -22,6 +22,7 @@ from neuralgrasps.errors import (
 
 if TYPE_CHECKING:
     from neuralgrasps.apply.novel import novel_grasps
+    from neuralgrasps.apply.novel_trial import NovelConfig
     from neuralgrasps.apply.retrieve import retrieve
     from neuralgrasps.dataset.build import build_dataset
     from neuralgrasps.dataset.collect import collect_grasps
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
     from neuralgrasps.sim.validate import validate_grasps
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _HOMES = {
     "DatasetConfig": "dataset.schema",
@@ -58,6 +59,7 @@ _HOMES = {
     "InferConfig": "model.infer",
     "Intrinsics": "geometry.camera",
     "KinematicField": "model.kinematic_field",
+    "NovelConfig": "apply.novel_trial",
     "ObjectModel": "objects.object_model",
     "PoseConfig": "perception.pose",
     "SynthesisConfig": "synthesis.synthesise",
@@ -103,6 +105,7 @@ __all__ = [
     "KinematicField",
     "MeshError",
     "NeuralGraspsError",
+    "NovelConfig",
     "ObjectModel",
     "PoseConfig",
     "RobotDescriptionError",

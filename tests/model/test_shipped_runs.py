@@ -34,7 +34,8 @@ def test_both_runs_are_there_and_small() -> None:
 
 def test_the_run_of_the_stand_ins_is_of_these_hands_and_objects(hands) -> None:
     """Codes, grasps and contact maps belong together, and every grasp is a proven one."""
-    run = load_run(run_folder("standins7"), hands=hands, objects={name: load_object(name) for name in STAND_INS})
+    run = load_run("standins7")
+    assert set(run.field.objects) == set(STAND_INS) and set(run.field.hands) == set(hands)
     assert len(run.grasps) == 35 and all(grasps.validated.all() for grasps in run.grasps.values())
     book = run.codebook
     assert len(book) == 35 * 55 and book.is_test.sum() == 35 * 5

@@ -22,12 +22,14 @@ from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.model.codes import CODE_SIZE, CodeBook, HandCodec, ObjectCodec
 from neuralgrasps.model.decoder import Decoder, DecoderConfig
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.train import TrainConfig, TrainResult
 from neuralgrasps.model.train_data import Jitter
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.tensor_files import tensor_bytes
 
 VERSION = 2
@@ -135,23 +137,33 @@ def _write_grasps(folder: Path, grasps: Sequence[GraspSet], field: KinematicFiel
     return written
 
 
-def load_run(folder: str | Path, *, hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]) -> Run:
-    """Read what `save_run` wrote.
+def load_run(
+    name_or_path: str | Path,
+    *,
+    hands: Mapping[str, Hand] | None = None,
+    objects: Mapping[str, ObjectModel] | None = None,
+) -> Run:
+    """Read what `save_run` wrote, or a run of this library by its name (`shipped_runs`).
 
     Args:
-        hands, objects: the models it was fitted with, by name (more are welcome).
+        hands, objects: the models it was fitted with, by name (more are welcome); when None, the built-in, imported
+            and downloaded ones of these names.
     Raises:
         DataFormatError: missing, damaged, or of another version.
-        UnknownNameError: a hand or object of the run is not given. InputError: an object is not the one of the run.
+        UnknownNameError: a hand or object of the run is not given, or not found.
+        InputError: an object is not the one of the run, or there is no such run.
     """
-    folder = Path(folder)
+    folder = run_folder(name_or_path)
     run = _read_json(folder / RUN_FILE)
     field_arrays = _read_arrays(folder, FIELD_FILE, run)
     code_arrays = _read_arrays(folder, CODES_FILE, run)
-    for kind, given in (("hand", hands), ("object", objects)):
+    hands = {name: load_hand(name) for name in run["hands"]} if hands is None else hands
+    objects = {name: load_object(name) for name in run["objects"]} if objects is None else objects
+    given: tuple[tuple[str, Mapping[str, object]], ...] = (("hand", hands), ("object", objects))
+    for kind, models in given:
         for name in run[f"{kind}s"]:
-            if name not in given:
-                raise unknown_name(kind, name, given)
+            if name not in models:
+                raise unknown_name(kind, name, models)
     try:
         field = _field_of(run, field_arrays, hands, objects)
         return Run(
