@@ -22,7 +22,7 @@ from neuralgrasps.model.mlp_infer import ContactTerm, MlpInferConfig, infer_code
 from neuralgrasps.model.mlp_loss import triplet_of_distances
 from neuralgrasps.model.mlp_parallel import Workers, workers_here
 from neuralgrasps.model.mlp_run import free_codebook, load_mlp_run, run_kind, save_mlp_run
-from neuralgrasps.model.mlp_schedule import PAPER, PAPER_FAST, PRESETS, MlpTrainConfig
+from neuralgrasps.model.mlp_schedule import PAPER, PAPER_FAST, PRESETS, MlpTrainConfig, shortened
 from neuralgrasps.model.mlp_train import MlpTrainer, train_mlp
 from neuralgrasps.model.train_state import STATE_FILE
 
@@ -267,6 +267,11 @@ def test_schedules() -> None:
     total = PAPER_FAST.epochs * PAPER_FAST.steps_per_epoch(250)
     factors = [PAPER_FAST.rate_factor(s, 250) for s in range(0, total, max(1, total // 400))]
     assert max(factors) == pytest.approx(1.0, abs=0.02) and factors[0] < 0.1 and factors[-1] < 0.01
+    for samples in (3e5, 4e6, 1.3e7, 7e7):
+        less = shortened(PAPER_FAST, samples, 250)
+        assert less.samples(250) == pytest.approx(samples, rel=0.01) and less.points_per_scene <= 20_000
+    assert shortened(PAPER_FAST, 1e12, 250) == PAPER_FAST
+    assert shortened(PAPER, 1e9, 250).halve_epochs == 50
     assert set(PRESETS) == {"paper", "paper-fast"}
     for config in PRESETS.values():
         assert config_of(json.loads(json.dumps(asdict(config)))) == config

@@ -33,7 +33,7 @@ class MlpInferConfig:
     Attributes:
         seed: of start codes and draws. steps: of Adam.
         points: of a scene in every step, drawn as in training.
-        rate: of Adam, in units of the codes' spread; a tenth after half the steps ("step") or down as a cosine.
+        rate: of Adam; a tenth after half the steps ("step") or down as a cosine.
         prior_weight: of the codes' mean norm.
         start: "zero": near 0 as published; "nearest": the known code that explains the samples best; "mean".
         start_std: of the start codes around it.
@@ -67,7 +67,7 @@ class MlpInferConfig:
 
 PUBLISHED = MlpInferConfig()
 """800 steps from near 0, as published (with no contact term)."""
-PLACED = MlpInferConfig(steps=200, points=256, rate=0.05, schedule="cosine", start="nearest")
+PLACED = MlpInferConfig(steps=200, points=256, rate=0.05, schedule="cosine", start="nearest", triplet_weight=0.03)
 """From the known code that explains the samples best; meant for use with contact maps."""
 
 

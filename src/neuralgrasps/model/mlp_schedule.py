@@ -125,7 +125,7 @@ def shortened(config: MlpTrainConfig, samples: float, scenes: int) -> MlpTrainCo
     whole = config.samples(scenes)
     if samples >= whole:
         return config
-    epochs = max(1, int(samples // (scenes * config.points_per_scene)))
+    epochs = max(1, math.ceil(samples / (scenes * config.points_per_scene)))
     points = max(config.step_points, int(samples // (scenes * epochs)))
     share = epochs / config.epochs
     return replace(
