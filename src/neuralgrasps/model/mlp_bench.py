@@ -12,7 +12,8 @@ from neuralgrasps.dataset.samples import Normalisation, SdfSamples
 from neuralgrasps.model.mlp_data import ObjectScenes, scene_samples
 from neuralgrasps.model.mlp_parallel import workers_here
 from neuralgrasps.model.mlp_schedule import PAPER, MlpTrainConfig
-from neuralgrasps.model.mlp_train import MlpTrainer, torch_threads
+from neuralgrasps.model.mlp_train import MlpTrainer
+from neuralgrasps.model.train_state import torch_threads
 
 WARM_UP_STEPS = 2
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from neuralgrasps.model.mlp_field import MlpDecoder, MlpField
 from neuralgrasps.model.mlp_loss import Batch, LatentModel, LossParts
 from neuralgrasps.model.mlp_parallel import Workers, workers_here
 from neuralgrasps.model.mlp_schedule import MlpTrainConfig
+from neuralgrasps.model.train_state import torch_threads
 from neuralgrasps.seeds import child_seed
 
 Progress = Callable[[int, int, float], None]
@@ -78,17 +78,6 @@ def train_mlp(
             trainer.restore(folder)
         trainer.run(folder, checkpoint_s=60.0 * checkpoint_minutes, stop_s=60.0 * minutes, progress=progress)
         return trainer.result()
-
-
-@contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Run torch on so many threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def new_model(scenes: int, config: MlpTrainConfig) -> LatentModel:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from neuralgrasps.model.decoder import Decoder
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.optimise import Progress, TrainConfig, optimise
 from neuralgrasps.model.train_data import collect_data
+from neuralgrasps.model.train_state import torch_threads
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_seed
 
@@ -66,7 +66,7 @@ def train(
             if name not in given:
                 raise unknown_name(kind, name, given)
     field = untrained_field(dataset, hands=hands, objects=objects)
-    with _torch_threads(config.threads):
+    with torch_threads(config.threads):
         codebook = encode_dataset(field, dataset)
         generator = torch.Generator().manual_seed(child_seed(config.seed, "decoder"))
         data = collect_data(field, dataset, jitter=config.jitter, seed=config.seed, threads=config.threads)
@@ -77,16 +77,6 @@ def train(
         )
     field.decoder = decoder.eval().requires_grad_(False)
     return TrainResult(field=field, codebook=codebook, losses=losses, config=config)
-
-
-@contextmanager
-def _torch_threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def untrained_field(

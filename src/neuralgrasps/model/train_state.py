@@ -1,8 +1,9 @@
-"""Checkpoints of a training in one file: weights, Adam's moments, and tensors beside them."""
+"""What trainings share: checkpoints in one file (weights, Adam's moments, tensors beside them), and torch's threads."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -74,3 +75,14 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 def numpy_arrays(tensors: Mapping[str, Tensor]) -> dict[str, np.ndarray]:
     """Tensors as arrays on the processor."""
     return {name: tensor.detach().cpu().contiguous().numpy() for name, tensor in tensors.items()}
+
+
+@contextmanager
+def torch_threads(count: int) -> Iterator[None]:
+    """Run torch on so many threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
