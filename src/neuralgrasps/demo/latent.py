@@ -13,7 +13,7 @@ from neuralgrasps.apply.retrieve import retrieve
 from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.demo.measure import Progress
 from neuralgrasps.evaluate.denoise import DenoiseScore, correction_gain
-from neuralgrasps.evaluate.embedding import embed_codes
+from neuralgrasps.evaluate.embedding import Embedding, embed_book
 from neuralgrasps.evaluate.observe import observe_hand, observe_hand_one_view
 from neuralgrasps.evaluate.reconstruction import (
     HandReconstruction,
@@ -94,27 +94,19 @@ class RetrievalExample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Embedding:
-    """A t-SNE picture: points (N, 2), hand of each, a note for each."""
-
-    title: str
-    points: np.ndarray
-    hands: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class LatentMeasures:
     """Everything measured of the latent space.
 
     Attributes:
-        maps: (hand, object) -> (N, P) contact maps. retrieval: examples to show. maps_2d: t-SNE pictures.
+        maps: (hand, object) -> (N, P) contact maps. retrieval: examples to show.
+        book: all codes; maps_2d: t-SNE pictures of it.
         correction: what the trained network gains on held-out codes that are off.
     """
 
     objects: tuple[ObjectMeasures, ...]
     maps: Mapping[tuple[str, str], np.ndarray]
     retrieval: tuple[RetrievalExample, ...]
+    book: CodeBook
     maps_2d: tuple[Embedding, ...]
     correction: tuple[DenoiseScore, ...]
 
@@ -134,13 +126,15 @@ def measure_latent(
     field, book = trained.field, trained.codebook
     gallery = book[book.where(is_test=False)]
     pairs = _measure_pairs(field, book, dataset, seed=seed, workers=workers, progress=progress)
+    places = {name: (codec.points_O, codec.offset_O) for name, codec in field.object_codecs.items()}
     return LatentMeasures(
         objects=tuple(_measure_object(field, book, dataset, name, pairs) for name in dataset.objects),
         maps={pair: dataset.contact_maps(*pair) for pair in dataset.pairs},
         retrieval=tuple(
             example for name in dataset.objects if (example := _example(book, gallery, name, "human")) is not None
         ),
-        maps_2d=_embeddings(book, seed),
+        book=book,
+        maps_2d=embed_book(book, places, seed=seed),
         correction=correction_gain(field, dataset, seed=seed),
     )
 
@@ -240,21 +234,3 @@ def _example(book: CodeBook, gallery: CodeBook, object_name: str, query_hand: st
         nearest=tuple(found(int(row)) for row in nearest),
         farthest=found(int(far)),
     )
-
-
-def _embeddings(book: CodeBook, seed: int) -> tuple[Embedding, ...]:
-    """t-SNE of the contact part of the codes, one picture per object."""
-    pictures = []
-    for name in book.objects:
-        rows = book[book.where(object_name=name)]
-        if len(rows) < 10:
-            continue
-        hands = tuple(rows.hands[i] for i in rows.hand_index)
-        kinds = ("test" if t else "train" for t in rows.is_test)
-        notes = tuple(
-            f"{hand}, grasp {i} ({kind})" for hand, i, kind in zip(hands, rows.grasp_index, kinds, strict=True)
-        )
-        pictures.append(
-            Embedding(title=name, points=embed_codes(rows.contact_block, seed=seed), hands=hands, notes=notes)
-        )
-    return tuple(pictures)

@@ -32,12 +32,12 @@ from neuralgrasps.report.content import (
     GraspFigure,
     HandFigure,
     KeyFigure,
-    LatentMap,
     Neighbour,
     PoseFigure,
     RetrievalRow,
     StageTime,
 )
+from neuralgrasps.report.evaluation_page import latent_map
 from neuralgrasps.report.figures import render_depth, render_pose_overlay
 from neuralgrasps.report.page import write_report
 
@@ -63,6 +63,14 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
         grasps = [plan.grasp(*key) for key in shown]
         contacts = [(g.hand, g.object, plan.contact(g.hand, g.object, 0)) for g in data.grasp_sets]
         rows = [(row, [plan.grasp(n.hand, row.object, n.grasp) for n in row.all]) for row in data.latent.retrieval]
+        book = data.latent.book
+        mapped = {
+            int(i): plan.grasp(
+                book.hands[book.hand_index[i]], book.objects[book.object_index[i]], int(book.grasp_index[i])
+            )
+            for m in data.latent.maps_2d
+            for i in m.rows[m.pictured]
+        }
         pictures = draw(plan, data, workers=workers, progress=progress)
         grasp_figures = tuple(
             _grasp_figure(data, *key, pictures[slot]) for key, slot in zip(shown, grasps, strict=True)
@@ -102,7 +110,9 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
             grasps=grasp_figures,
             contacts=contact_figures,
             retrieval=retrieval,
-            latent_maps=_latent_maps(data),
+            latent_maps=tuple(
+                latent_map(m, book, {i: pictures[slot] for i, slot in mapped.items()}) for m in data.latent.maps_2d
+            ),
             poses=poses,
             synthesis=synthesis_rows(data),
             dataset=dataset_facts(data),
@@ -180,19 +190,6 @@ def _pose_figures(data: DemoData) -> tuple[PoseFigure, ...]:
             )
         )
     return tuple(figures)
-
-
-def _latent_maps(data: DemoData) -> tuple[LatentMap, ...]:
-    return tuple(
-        LatentMap(
-            title=m.title,
-            points=m.points,
-            hands=m.hands,
-            notes=m.notes,
-            text="t-SNE of the contact part of the codes. Test grasps are included.",
-        )
-        for m in data.latent.maps_2d
-    )
 
 
 def _notes(data: DemoData) -> tuple[str, ...]:

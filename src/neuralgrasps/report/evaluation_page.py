@@ -63,6 +63,7 @@ def write_evaluation(
     wanted: dict[Key, None] = {(int(i), PICTURE): None for e in examples for i in e.rows}
     wanted |= {(int(m.rows[i]), THUMB): None for m in maps for i in m.pictured}
     pictures = _draw(list(wanted), field, book, grasps, workers=workers, progress=progress)
+    thumbs = {row: image for (row, size), image in pictures.items() if size == THUMB}
     kinds = ", ".join(dict.fromkeys(part for part, _ in scores.parts_and_inputs))
     report = DemoReport(
         title="How well the latent space holds grasps",
@@ -75,7 +76,7 @@ def write_evaluation(
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         key_figures=_key_figures(scores),
         retrieval=tuple(_retrieval_row(e, book, pictures) for e in examples),
-        latent_maps=tuple(_latent_map(m, book, pictures) for m in maps),
+        latent_maps=tuple(latent_map(m, book, thumbs) for m in maps),
         histograms=_histograms(scores),
         tables=tables_of(scores),
         section_texts=_TEXTS,
@@ -124,7 +125,8 @@ def _retrieval_row(example: Example, book: CodeBook, pictures: Mapping[Key, np.n
     return RetrievalRow(object=example.object, query=query, nearest=tuple(nearest), farthest=farthest)
 
 
-def _latent_map(m: Embedding, book: CodeBook, pictures: Mapping[Key, np.ndarray]) -> LatentMap:
+def latent_map(m: Embedding, book: CodeBook, pictures: Mapping[int, np.ndarray]) -> LatentMap:
+    """A t-SNE picture of a code book's rows, with pictures (by row) of the grasps it chose."""
     several = len(set(book.object_index[m.rows].tolist())) > 1
     notes = []
     for i in m.rows:
@@ -139,7 +141,7 @@ def _latent_map(m: Embedding, book: CodeBook, pictures: Mapping[Key, np.ndarray]
         text="By where the hand touches, seen from the object's centre: the only part of a code that means the same on "
         "every object." if several else "By the part of the codes that retrieval compares.",
         unseen=tuple(int(i) for i in np.flatnonzero(book.is_test[m.rows])),
-        pictures={int(i): pictures[int(m.rows[i]), THUMB] for i in m.pictured},
+        pictures={int(i): pictures[int(m.rows[i])] for i in m.pictured},
     )  # fmt: skip
 
 
