@@ -116,7 +116,7 @@ SYNTHESISE = ("synthesise", "--hand", "panda", "--object", "gelatin_box", "--cou
         (("dataset", "verify", "."), "manifest.json is missing"),
         (("train", "nowhere"), "manifest.json is missing"),
         (("evaluate", "nowhere"), "does not exist"),
-        (("retrieve", "nowhere"), "Train first"),
+        (("retrieve", "nowhere"), "neither a folder that `train` wrote nor a run of this library: standins7, ycb7"),
         (("pose", "mustard_bottle"), "either --cloud"),
         (("pose", "mustard_bottle", "--cloud", "none.ply"), "does not exist"),
         (("pose", "mustard_bottle", "--cloud", "few.xyz"), "at least 20"),

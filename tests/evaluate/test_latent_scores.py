@@ -45,10 +45,22 @@ def test_scores_of_a_run(small_run) -> None:
     assert train.queries == train.gallery == 20
     one = score_codebook(small_run.codebook, object_name="brick", hand="fetch")
     assert (one.queries, one.gallery) == (2, 10)
-    with pytest.raises(InputError, match="expected one for each"):
-        score_codebook(small_run.codebook, object_name="brick", queries=small_run.codebook[:3])
+    known = small_run.codebook[small_run.codebook.where(is_test=False)]
+    with pytest.raises(InputError, match="not of one of the 4 test grasps"):
+        score_codebook(small_run.codebook, object_name="brick", queries=known[:3])
     with pytest.raises(InputError, match="expected 'test' or 'train'"):
         score_codebook(small_run.codebook, object_name="brick", part="all")
+
+
+def test_query_codes_find_their_own_grasps_in_any_order(small_run) -> None:
+    """The same codes, in another order and only some of them: the same grasps must be meant."""
+    book = small_run.codebook
+    tests = np.flatnonzero(book.where(object_name="brick", is_test=True))
+    plain = score_codebook(book, object_name="brick")
+    assert score_codebook(book, object_name="brick", queries=book[tests[::-1]]) == plain
+    shuffled = book[np.random.default_rng(0).permutation(len(book))]
+    assert score_codebook(shuffled, object_name="brick", queries=book[tests]).gap == pytest.approx(plain.gap)
+    assert score_codebook(book, object_name="brick", queries=book[tests[1:3]]).queries == 2
 
 
 def test_encoded_hands_reconstruct_and_shifted_ones_do_not(small_run, small_dataset) -> None:

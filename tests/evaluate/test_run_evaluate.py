@@ -212,3 +212,26 @@ def test_wrong_questions(small_run: TrainResult, grasps: Grasps) -> None:
         MeasureConfig(noise_m=-0.001)
     with pytest.raises(InputError, match="expected at least 1 each"):
         MeasureConfig(queries=0)
+
+
+def test_a_held_out_hand_is_measured_and_named(small_run: TrainResult, grasps: Grasps) -> None:
+    """All grasps of one hand are test grasps: nothing to start inference from, but known codes are still scored."""
+    book = small_run.codebook
+    held = replace(book, is_test=book.is_test | book.where(hand="fetch"))
+    config = MeasureConfig(queries=2000, points=100, per_pair=2, seed=1)
+    found = evaluate_run(small_run.field, held, grasps, config=config, workers=1)
+    assert {(r.hand, r.input) for r in found.hands if r.object == "brick"} == {
+        ("allegro", KNOWN), ("allegro", ALL_OVER), ("allegro", ONE_VIEW), ("fetch", KNOWN),
+    }  # fmt: skip
+    assert "fetch on brick" in found.conditions["not inferred"]
+    by_input = {r.input: r.queries for r in found.similarities if r.object == "brick"}
+    assert by_input[KNOWN] == 2 + 12 and by_input[ONE_VIEW] == 2
+
+
+def test_a_held_out_object_has_no_retrieval(small_run: TrainResult, grasps: Grasps) -> None:
+    book = small_run.codebook
+    held = replace(book, is_test=book.is_test | book.where(object_name="brick"))
+    config = MeasureConfig(queries=2000, points=100, observed=False, seed=1)
+    found = evaluate_run(small_run.field, held, grasps, config=config, workers=1)
+    assert {r.object for r in found.similarities} == {"ball"}
+    assert {r.object for r in found.hands} == {"ball", "brick"} and "brick" in found.conditions["no retrieval"]

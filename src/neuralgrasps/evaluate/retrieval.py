@@ -109,8 +109,11 @@ def score_codebook(
     Args:
         part: "test": unseen grasps find training grasps; "train": training grasps find other training grasps.
         queries: codes to search with instead of the book's own test codes (for example inferred from observed
-            points), row by row for the same grasps; the truth stays the book's contact maps.
+            points), of all test grasps or some, in any order: `grasp_index` and the hand's name say which grasp each
+            is of. The truth stays the book's contact maps.
         rerank: see `score_retrieval`; with `queries`, their own contact maps do the re-ranking.
+    Raises:
+        InputError: no such part, or a query is not of one of the book's test grasps.
     """
     if part not in ("test", "train"):
         raise InputError(f"part is '{part}'; expected 'test' or 'train'.")
@@ -118,8 +121,9 @@ def score_codebook(
     asked = train if part == "train" else codebook[codebook.where(hand=hand, object_name=object_name, is_test=True)]
     codes, ranking = asked.metric, None
     if queries is not None:
-        if part == "train" or len(queries) != len(asked):
-            raise InputError(f"{len(queries)} query codes for {len(asked)} test grasps; expected one for each.")
+        if part == "train":
+            raise InputError("queries stand for test grasps; part is 'train'.")
+        asked = asked[_places(asked, queries)]
         codes, ranking = queries.metric, queries.contact_maps if queries.contact_maps.shape[1] else None
     return score_retrieval(
         codes,
@@ -130,3 +134,15 @@ def score_codebook(
         rerank=rerank,
         ranking_maps=ranking,
     )
+
+
+def _places(asked: CodeBook, queries: CodeBook) -> np.ndarray:
+    """(Q,) row of `asked` that each query is of."""
+    place = {
+        (asked.hands[h], int(g)): i for i, (h, g) in enumerate(zip(asked.hand_index, asked.grasp_index, strict=True))
+    }
+    wanted = [(queries.hands[h], int(g)) for h, g in zip(queries.hand_index, queries.grasp_index, strict=True)]
+    for hand, grasp in wanted:
+        if (hand, grasp) not in place:
+            raise InputError(f"query code of grasp {grasp} of '{hand}' is not of one of the {len(asked)} test grasps.")
+    return np.array([place[key] for key in wanted], np.int64)

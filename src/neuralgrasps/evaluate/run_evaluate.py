@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from neuralgrasps.apply.retrieve import retrieve
+from neuralgrasps.apply.retrieve import Gallery, retrieve
 from neuralgrasps.errors import InputError
 from neuralgrasps.evaluate.reconstruction import ObjectReconstruction, score_object
 from neuralgrasps.evaluate.retrieval import score_codebook
@@ -88,7 +88,7 @@ def _tasks(
         for hand in book.hands:
             rows = book[book.where(hand=hand, object_name=name, is_test=part == "test")]
             gallery = book[book.where(hand=hand, object_name=name, is_test=False)]
-            if not len(rows) or not len(gallery):
+            if not len(rows):
                 continue
             if part == "train" and len(rows) > config.per_pair:
                 rows = rows[np.unique(np.linspace(0, len(rows) - 1, config.per_pair).astype(int))]
@@ -131,9 +131,11 @@ def _rows(
     similarities = []
     for part in parts:
         for first in _first_of_objects(results, part):
+            if book.where(object_name=first.object, is_test=False).sum() < 1 + (part == "train"):
+                continue  # a held-out object: nothing to find
             pairs = [r for r in results if (r.part, r.object) == (part, first.object)]
-            for given in first.shapes:
-                queries = None if given == KNOWN else join_codes([r.codes[given] for r in pairs])
+            for given in dict.fromkeys(name for r in pairs for name in r.shapes):
+                queries = None if given == KNOWN else join_codes([r.codes[given] for r in pairs if given in r.codes])
                 plain, again = (
                     score_codebook(book, object_name=first.object, part=part, queries=queries, rerank=rerank)
                     for rerank in (0, RERANK)
@@ -206,9 +208,10 @@ def _times(
     nearest among the training grasps of all hands on its object, re-ranked. `infer, ...`: processor time.
     """
     encode, find = [], []
-    gallery = book[book.where(is_test=False)]
+    known = book.where(is_test=False)
+    gallery = Gallery(book[known])
     for (hand, name), chosen in grasps.items():
-        if not book.where(hand=hand, object_name=name).any():
+        if not book.where(hand=hand, object_name=name).any() or not (known & book.where(object_name=name)).any():
             continue
         for i in range(min(len(chosen), 1 + _TIMED // max(len(grasps), 1))):
             one = chosen[i]
@@ -218,7 +221,7 @@ def _times(
             retrieve(code, gallery, object_name=name, rerank=RERANK)
             encode.append(middle - start)
             find.append(time.perf_counter() - middle)
-    times = {"encode": 1e3 * float(np.median(encode)), "retrieve": 1e3 * float(np.median(find))}
+    times = {"encode": 1e3 * float(np.median(encode)), "retrieve": 1e3 * float(np.median(find))} if find else {}
     for given in dict.fromkeys(given for r in results for given in r.cpu_s):
         times[f"infer, {given}"] = 1e3 * float(
             np.median(np.concatenate([r.cpu_s[given] for r in results if given in r.cpu_s]))
@@ -241,4 +244,11 @@ def _conditions(book: CodeBook, results: Sequence[PairResult], config: MeasureCo
         noise = f"{1e3 * config.noise_m:g} mm noise"
         words[ALL_OVER] = f"1,024 points all over the hand, {noise} in each coordinate"
         words[ONE_VIEW] = f"at most 1,024 points that one depth camera sees, {noise} along its rays"
+    if config.observed:
+        left = [f"{r.hand} on {r.object}" for r in results if r.part == "test" and not r.cpu_s]
+        if left:
+            words["not inferred"] = f"{', '.join(left)}: no training grasps to start from"
+    bare = [name for name in book.objects if not book.where(object_name=name, is_test=False).any()]
+    if bare:
+        words["no retrieval"] = f"{', '.join(bare)}: held out, no training grasps to find"
     return words

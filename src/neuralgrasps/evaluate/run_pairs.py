@@ -99,7 +99,7 @@ def measure_pair(task: PairTask, config: MeasureConfig) -> PairResult:
     """Reconstruct the grasps from each kind of input and compare with the true ones."""
     hand, name = task.grasps.hand, task.grasps.object
     inferred: dict[str, PairInference] = {}
-    if config.observed and task.part == "test":
+    if config.observed and task.part == "test" and len(task.gallery):  # without known grasps, nowhere to start
         for given, how in config.observations.items():
             inferred[given] = infer_pair(task.field, task.gallery, task.grasps, task.book.grasp_index, how, config.seed)
     books = {KNOWN: task.book} | {given: one.codes for given, one in inferred.items()}
