@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -135,3 +137,12 @@ def test_contact_blocks_bound_the_distance_of_maps() -> None:
         contact_blocks(maps[:, :500], codec)
     sizes = np.bincount(codec.cell_of, minlength=CELLS)
     assert sizes.min() >= 1 and sizes.max() <= 4 * sizes.mean()
+
+
+def test_a_joint_that_cannot_move_gives_numbers() -> None:
+    codec = replace(hand_codec(load_hand("barrett")))
+    upper = codec.upper.copy()
+    upper[2] = codec.lower[2]
+    still = replace(codec, upper=upper)
+    q = np.clip(np.full((1, codec.num_joints), 0.5), still.lower, still.upper)
+    assert np.isfinite(still.posture(q)).all() and np.allclose(still.joints(still.posture(q)), q)

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -285,3 +286,39 @@ def test_the_learning_rate_rises_and_falls() -> None:
     assert rates[0] < 0.05 and rates[100] == pytest.approx(0.0)
     assert np.all(np.diff(rates[:11]) > 0)
     assert np.all(np.diff(rates[10:]) < 0)
+
+
+def test_another_hand_of_the_same_name_is_refused(small_run, small_world, tmp_path: Path) -> None:
+    save_run(tmp_path, small_run)
+    for imposter in ("fetch", "barrett"):  # another hand with as many joints, and one with fewer
+        name = "allegro"
+        hands = {**small_world.hands, name: load_hand(imposter)}
+        with pytest.raises(InputError, match="hand 'allegro' given is not the one"):
+            load_run(tmp_path, hands=hands, objects=small_world.objects)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("hands", None), ("objects", "brick"), ("radius_m", ["0.01", "0.02"]), ("radius_m", [0.01]), ("sha256", {}),
+        ("codebook", None), ("decoder", {"hands": ["allegro"]}), ("config", 3), ("version", "mlp-1"),
+    ],
+)  # fmt: skip
+def test_notes_that_cannot_be_right_are_refused(small_run, small_world, tmp_path: Path, key: str, value) -> None:
+    save_run(tmp_path, small_run)
+    notes = json.loads((tmp_path / "run.json").read_text())
+    (tmp_path / "run.json").write_text(json.dumps({**notes, key: value}))
+    with pytest.raises(DataFormatError, match="MlpField" if key == "version" else "damaged"):
+        load_run(tmp_path, hands=small_world.hands, objects=small_world.objects)
+    del notes[key]
+    (tmp_path / "run.json").write_text(json.dumps(notes))
+    with pytest.raises(DataFormatError):
+        load_run(tmp_path, hands=small_world.hands, objects=small_world.objects)
+
+
+def test_poses_that_are_no_numbers_are_refused(small_run, small_world) -> None:
+    grasps = small_world.grasp_sets[0]
+    X_OH = np.array(grasps.X_OH)
+    X_OH[1, 0, 3] = np.nan
+    with pytest.raises(InputError, match="not finite"):
+        small_run.field.encode(X_OH, grasps.q, hand="allegro", object_name="brick")

@@ -80,29 +80,21 @@ def _run_at(path: Path) -> Path | None:
         return path
     if path.exists():
         return None
-    from neuralgrasps.model.checkpoint import run_folder, shipped_runs
+    from neuralgrasps.model.run_notes import run_folder, shipped_runs
 
     return run_folder(path) if str(path) in shipped_runs() else None
 
 
 def open_run(folder: Path, hands: tuple[str, ...], objects: tuple[str, ...]) -> Run:
     """A run, by folder or by the name of a shipped one, with its hands and objects: given, or found where they were."""
-    import json
-
     from neuralgrasps.cli.models import hands_of
-    from neuralgrasps.errors import DataFormatError
-    from neuralgrasps.model.checkpoint import RUN_FILE, load_run, run_folder
+    from neuralgrasps.model.checkpoint import load_run
+    from neuralgrasps.model.run_notes import read_notes, run_folder
 
     folder = run_folder(folder)
-    try:
-        names = json.loads((folder / RUN_FILE).read_bytes())
-        hand_names, object_names = list(names["hands"]), list(names["objects"])
-    except FileNotFoundError:
-        raise DataFormatError(f"'{folder}' holds no fitted field: {RUN_FILE} is missing. Train first.") from None
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataFormatError(f"'{folder / RUN_FILE}' is damaged: {error}. Train again.") from error
+    notes = read_notes(folder)
     return load_run(
-        folder, hands=hands_of(hand_names, folder, hands), objects=run_objects(folder, object_names, objects)
+        folder, hands=hands_of(notes.hands, folder, hands), objects=run_objects(folder, notes.objects, objects)
     )
 
 

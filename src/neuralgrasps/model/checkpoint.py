@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 
 import neuralgrasps
-from neuralgrasps.errors import DataFormatError, InputError, unknown_name
+from neuralgrasps.errors import DataFormatError, InputError, ShapeError, unknown_name
 from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
@@ -26,15 +25,28 @@ from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.model.codes import CODE_SIZE, CodeBook, HandCodec, ObjectCodec
 from neuralgrasps.model.decoder import Decoder, DecoderConfig
 from neuralgrasps.model.kinematic_field import KinematicField
+from neuralgrasps.model.run_notes import (
+    CODES_FILE,
+    FIELD_FILE,
+    GRASPS_FOLDER,
+    RUN_FILE,
+    VERSION,
+    RunNotes,
+    read_notes,
+    run_folder,
+    shipped_runs,
+)
 from neuralgrasps.model.train import TrainConfig, TrainResult
 from neuralgrasps.model.train_data import Jitter
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.tensor_files import tensor_bytes
 
-VERSION = 2
-RUN_FILE, FIELD_FILE, CODES_FILE = "run.json", "field.safetensors", "codes.safetensors"
-GRASPS_FOLDER = "grasps"
+__all__ = [
+    "CODES_FILE", "FIELD_FILE", "GRASPS_FOLDER", "RUN_FILE",
+    "Run", "load_run", "restored_config", "run_folder", "save_run", "shipped_runs",
+]  # fmt: skip
+
 SAME_OBJECT_M = 1e-3  # contact points of a run lie this close to the mesh of its object
 _HAND_ARRAYS = ("lower", "upper", "mean", "basis", "X_HP")
 _OBJECT_ARRAYS = ("points_O", "cell_of", "centres_O", "offset_O")
@@ -103,29 +115,6 @@ def save_run(
     return folder
 
 
-def shipped_runs() -> tuple[str, ...]:
-    """Names of the runs that come with this library."""
-    folder = resources.files("neuralgrasps") / "assets" / "runs"
-    return tuple(sorted(item.name for item in folder.iterdir() if item.is_dir())) if folder.is_dir() else ()
-
-
-def run_folder(name_or_path: str | Path) -> Path:
-    """The folder of a run: a folder as it is, or by the name of a shipped run (a folder of that name comes first).
-
-    Raises:
-        InputError: neither.
-    """
-    path = Path(name_or_path)
-    if path.is_dir():
-        return path
-    if str(name_or_path) in shipped_runs():
-        return Path(str(resources.files("neuralgrasps") / "assets" / "runs" / str(name_or_path)))
-    raise InputError(
-        f"'{name_or_path}' is neither a folder that `train` wrote nor a run of this library: "
-        f"{', '.join(shipped_runs())}."
-    )
-
-
 def _write_grasps(folder: Path, grasps: Sequence[GraspSet], field: KinematicField) -> dict[str, str]:
     """Write a file for each set; sha256 by its name in the folder."""
     written = {}
@@ -154,14 +143,17 @@ def load_run(
         InputError: an object is not the one of the run, or there is no such run.
     """
     folder = run_folder(name_or_path)
-    run = _read_json(folder / RUN_FILE)
+    run = read_notes(folder)
     field_arrays = _read_arrays(folder, FIELD_FILE, run)
     code_arrays = _read_arrays(folder, CODES_FILE, run)
-    hands = {name: load_hand(name) for name in run["hands"]} if hands is None else hands
-    objects = {name: load_object(name) for name in run["objects"]} if objects is None else objects
-    given: tuple[tuple[str, Mapping[str, object]], ...] = (("hand", hands), ("object", objects))
-    for kind, models in given:
-        for name in run[f"{kind}s"]:
+    hands = {name: load_hand(name) for name in run.hands} if hands is None else hands
+    objects = {name: load_object(name) for name in run.objects} if objects is None else objects
+    needed: tuple[tuple[str, tuple[str, ...], Mapping[str, object]], ...] = (
+        ("hand", run.hands, hands),
+        ("object", run.objects, objects),
+    )
+    for kind, names, models in needed:
+        for name in names:
             if name not in models:
                 raise unknown_name(kind, name, models)
     try:
@@ -170,24 +162,24 @@ def load_run(
             field=field,
             codebook=_book_of(run, code_arrays),
             losses=field_arrays["losses"],
-            config=run["config"],
+            config=run.config,
             grasps=_grasps_of(folder, run),
         )
-    except (KeyError, RuntimeError) as error:
+    except (KeyError, RuntimeError, ShapeError) as error:
         raise DataFormatError(f"'{folder}' lacks an entry: {error}. Train again.") from error
 
 
-def _book_of(run: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> CodeBook:
+def _book_of(run: RunNotes, arrays: Mapping[str, np.ndarray]) -> CodeBook:
     maps = arrays["contact_maps"]
     if maps.dtype == np.uint8:
         maps = maps.astype(np.float32) / 255.0
     stored: dict[str, Any] = {name: arrays[name] for name in _BOOK_ARRAYS} | {"contact_maps": maps}
-    return CodeBook(**stored, hands=tuple(run["codebook"]["hands"]), objects=tuple(run["codebook"]["objects"]))
+    return CodeBook(**stored, hands=run.codebook.hands, objects=run.codebook.objects)
 
 
-def _grasps_of(folder: Path, run: dict[str, Any]) -> dict[tuple[str, str], GraspSet]:
+def _grasps_of(folder: Path, run: RunNotes) -> dict[tuple[str, str], GraspSet]:
     found = {}
-    for name, sha256 in run["sha256"].items():
+    for name, sha256 in run.sha256.items():
         if not name.startswith(f"{GRASPS_FOLDER}/"):
             continue
         path = folder / name
@@ -209,6 +201,20 @@ def _check_same(codec: ObjectCodec, obj: ObjectModel) -> None:
         )
 
 
+def _check_same_hand(codec: HandCodec, hand: Hand) -> None:
+    """That a hand has the joints, limits and palm of the one whose grasps were encoded."""
+    joints = len(hand.tree.lower)
+    same = joints == codec.num_joints and all(
+        np.allclose(mine, theirs, atol=1e-6)
+        for mine, theirs in ((codec.lower, hand.tree.lower), (codec.upper, hand.tree.upper), (codec.X_HP, hand.X_HP))
+    )
+    if not same:
+        raise InputError(
+            f"hand '{codec.name}' given is not the one that the run was fitted with: it has {joints} joints, the run's "
+            f"{codec.num_joints}, or other limits or another palm. Give the file of that hand, or train again."
+        )
+
+
 def restored_config(run: Run) -> TrainConfig:
     """The training configuration of a run."""
     values = dict(run.config)
@@ -218,55 +224,42 @@ def restored_config(run: Run) -> TrainConfig:
 
 
 def _field_of(
-    run: dict[str, Any], arrays: Mapping[str, np.ndarray], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
+    run: RunNotes, arrays: Mapping[str, np.ndarray], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
 ) -> KinematicField:
     hand_codecs = {
         name: HandCodec(name=name, **{a: arrays[f"hand.{i}.{a}"] for a in _HAND_ARRAYS})
-        for i, name in enumerate(run["hands"])
+        for i, name in enumerate(run.hands)
     }
     object_codecs = {
-        name: ObjectCodec(
-            name=name, radius_m=run["radius_m"][i], **{a: arrays[f"object.{i}.{a}"] for a in _OBJECT_ARRAYS}
-        )
-        for i, name in enumerate(run["objects"])
+        name: ObjectCodec(name=name, radius_m=run.radius_m[i], **{a: arrays[f"object.{i}.{a}"] for a in _OBJECT_ARRAYS})
+        for i, name in enumerate(run.objects)
     }
     for name, codec in object_codecs.items():
         _check_same(codec, objects[name])
+    for name, own in hand_codecs.items():
+        _check_same_hand(own, hands[name])
     decoder = None
-    if run["decoder"] is not None:
-        widths = {k: v for k, v in run["decoder"].items() if k != "hands"}
-        decoder = Decoder(tuple(run["decoder"]["hands"]), DecoderConfig(**widths))
+    if run.decoder is not None:
+        widths = {k: v for k, v in asdict(run.decoder).items() if k != "hands"}
+        decoder = Decoder(run.decoder.hands, DecoderConfig(**widths))
         state = {k.removeprefix("decoder."): torch.from_numpy(v) for k, v in arrays.items() if k.startswith("decoder.")}
         decoder.load_state_dict(state)
         decoder.eval().requires_grad_(False)
     return KinematicField(
-        hands={name: hands[name] for name in run["hands"]},
-        objects={name: objects[name] for name in run["objects"]},
+        hands={name: hands[name] for name in run.hands},
+        objects={name: objects[name] for name in run.objects},
         hand_codecs=hand_codecs,
         object_codecs=object_codecs,
         decoder=decoder,
     )
 
 
-def _read_json(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise DataFormatError(f"'{path.parent}' holds no fitted field: {path.name} is missing. Train first.")
-    try:
-        run = json.loads(path.read_bytes())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise DataFormatError(f"'{path}' is damaged: {error}. Train again.") from error
-    version = run.get("version") if isinstance(run, dict) else None
-    if version != VERSION:
-        raise DataFormatError(f"'{path}' has version {version}; this library reads {VERSION}. Train again.")
-    return run
-
-
-def _read_arrays(folder: Path, name: str, run: dict[str, Any]) -> dict[str, np.ndarray]:
+def _read_arrays(folder: Path, name: str, run: RunNotes) -> dict[str, np.ndarray]:
     path = folder / name
     if not path.is_file():
         raise DataFormatError(f"'{path}' is missing. Train again.")
     data = path.read_bytes()
-    if hashlib.sha256(data).hexdigest() != run["sha256"][name]:
+    if hashlib.sha256(data).hexdigest() != run.sha256[name]:
         raise DataFormatError(f"'{path}' is not the file that {RUN_FILE} names (sha256 differs). Train again.")
     try:
         arrays = load_arrays(data)

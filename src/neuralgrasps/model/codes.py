@@ -129,13 +129,18 @@ class HandCodec:
 
     def posture(self, q: np.ndarray) -> np.ndarray:
         """Posture blocks (N, 23) of joints (N, J)."""
-        u = (q - self.lower) / (self.upper - self.lower)
+        u = (q - self.lower) / joint_spans(self.lower, self.upper)
         return 2.0 * (u - self.mean) @ self.basis
 
     def joints(self, posture: np.ndarray) -> np.ndarray:
         """Joints (N, J) of posture blocks (N, 23), clamped to the limits."""
         u = self.mean + 0.5 * posture @ self.basis.T
         return self.lower + np.clip(u, 0.0, 1.0) * (self.upper - self.lower)
+
+
+def joint_spans(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """(J,) ranges of the joints; 1 for those that cannot move."""
+    return np.where(upper > lower, upper - lower, 1.0)
 
 
 def hand_codec(hand: Hand, postures: np.ndarray | None = None) -> HandCodec:
@@ -150,7 +155,7 @@ def hand_codec(hand: Hand, postures: np.ndarray | None = None) -> HandCodec:
         mean, components = np.full(joints, 0.5), np.eye(joints)
     else:
         hand.check_q(postures)
-        u = (postures - lower) / (upper - lower)
+        u = (postures - lower) / joint_spans(lower, upper)
         mean = u.mean(axis=0)
         values, vectors = np.linalg.eigh((u - mean).T @ (u - mean) / len(u) + 1e-9 * np.diag(np.arange(joints, 0, -1)))
         components = vectors[:, np.argsort(-values, kind="stable")]
@@ -179,6 +184,8 @@ def assemble_codes(
             f"contact {contact.shape}, X_OH {X_OH.shape}, q {q.shape}; "
             f"expected (N, {CELLS}), (N, 4, 4), (N, {hand.num_joints}) for hand '{hand.name}'."
         )
+    if not (np.isfinite(X_OH).all() and np.isfinite(q).all()):
+        raise InputError(f"a pose or joint of hand '{hand.name}' is not finite; expected numbers.")
     blocks = [contact, palm_block(X_OH, hand.X_HP, obj.offset_O), hand.posture(q)]
     return np.concatenate(blocks, axis=1).astype(np.float32)
 
