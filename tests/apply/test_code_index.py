@@ -57,6 +57,15 @@ def test_bounds_hold_for_large_values_that_cancel() -> None:
     assert np.array_equal(CodeIndex(values).search(queries, 1)[0], expected)
 
 
+def test_wide_rows_keep_their_nearest() -> None:
+    """Rounding of sums grows with the columns; the slack must, too."""
+    rng = np.random.default_rng(4)
+    for columns in (1024, 4096):
+        values = rng.random((400, columns)).astype(np.float32)
+        queries = values[:20] + rng.normal(scale=1e-6, size=(20, columns)).astype(np.float32)
+        assert np.array_equal(CodeIndex(values).search(queries, 1)[0][:, 0], np.arange(20))
+
+
 def test_only_the_given_parts_are_searched() -> None:
     values = np.arange(20, dtype=np.float32)[:, None]
     index, distance = CodeIndex(values).search(np.array([[9.6]]), 4, parts=[slice(0, 3), slice(12, 14)])
@@ -77,6 +86,8 @@ def test_wrong_inputs_are_refused() -> None:
         CodeIndex(np.zeros((0, 3)))
     with pytest.raises(InputError, match="not finite"):
         CodeIndex(np.array([[np.nan]]))
+    with pytest.raises(InputError, match="too large"):
+        CodeIndex(np.full((2, 3), 1e38))
     with pytest.raises(InputError, match="'native' or 'faiss'"):
         CodeIndex(np.zeros((1, 1)), backend="annoy")
     index = CodeIndex(np.zeros((2, 3)))

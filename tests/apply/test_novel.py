@@ -103,3 +103,9 @@ def test_wrong_inputs_are_refused(box_world: BoxWorld) -> None:
         NovelConfig(protocol="shaken")
     with pytest.raises(InputError, match="nothing to sample from"):
         measure_novel(field, replace(book, is_test=np.ones(8, bool)))
+
+
+def test_free_codes_are_refused(box_world: BoxWorld) -> None:
+    free = replace(box_world.book, metric_size=128)
+    with pytest.raises(InputError, match="MlpField"):
+        novel_grasps(box_world.field, free, **PAIR)

@@ -20,7 +20,7 @@ def known_codes(count: int, seed: int = 0) -> np.ndarray:
     """Codes with random closeness and palms, 3 of 23 posture columns in use."""
     rng = np.random.default_rng(seed)
     values = np.zeros((count, CODE_SIZE))
-    values[:, CONTACT_BLOCK] = rng.uniform(0, 1, (count, CONTACT_BLOCK.stop))
+    values[:, CONTACT_BLOCK] = rng.uniform(0, 1.3, (count, CONTACT_BLOCK.stop))  # a large cell holds more than 1
     values[:, PALM_BLOCK.start : PALM_BLOCK.start + 3] = rng.normal(size=(count, 3))
     values[:, POSTURE_BLOCK.start : POSTURE_BLOCK.start + 3] = rng.normal(size=(count, 3))
     return with_rotations(values, axis_angle_matrix(rng.normal(size=(count, 3)), rng.uniform(0, 3, count)))
@@ -29,7 +29,7 @@ def known_codes(count: int, seed: int = 0) -> np.ndarray:
 def check_codes(values: np.ndarray) -> None:
     columns = values[:, PALM_BLOCK][:, 3:].reshape(-1, 2, 3)
     assert np.allclose(columns @ columns.swapaxes(1, 2), np.eye(2), atol=1e-12)
-    assert values[:, CONTACT_BLOCK].min() >= 0 and values[:, CONTACT_BLOCK].max() <= 1
+    assert values[:, CONTACT_BLOCK].min() >= 0
 
 
 def test_no_noise_gives_the_known_codes_each_once() -> None:

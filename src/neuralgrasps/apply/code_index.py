@@ -2,7 +2,8 @@
 
 Sums over groups of neighbouring columns give a lower bound of an L1 distance: |sum a - sum b| <= sum |a - b|. All rows
 are first bounded by their group sums, an eighth of the work and memory; only rows whose bound does not exceed
-the distance of the last result are compared in full. Nothing is approximate.
+the distance of the last result are compared in full. Nothing is approximate but float32 itself: rows whose distances
+differ by less than its rounding may change places.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ class CodeIndex:
         """Index rows.
 
         Args:
-            values: (N, D) finite numbers, N >= 1.
+            values: (N, D) numbers, N >= 1, whose distances fit float32.
             backend: "native", or "faiss" (needs the extra `retrieve`; exact too, slower here).
         Raises:
             ShapeError: not (N >= 1, D >= 1). InputError: not finite, or no such backend.
@@ -44,8 +45,8 @@ class CodeIndex:
         rows = np.ascontiguousarray(values, np.float32)
         if rows.ndim != 2 or 0 in rows.shape:
             raise ShapeError(f"values has shape {np.shape(values)}; expected (N >= 1, D >= 1).")
-        if not np.isfinite(rows).all():
-            raise InputError("some codes are not finite; an index holds known codes only.")
+        if not np.isfinite(rows).all() or float(np.abs(rows).max()) > 1e37 / rows.shape[1]:
+            raise InputError("some codes are not finite or too large for distances in float32; expected known codes.")
         if backend not in ("native", "faiss"):
             raise InputError(f"backend is '{backend}'; expected 'native' or 'faiss'.")
         self.values = rows
@@ -55,8 +56,7 @@ class CodeIndex:
             sums = np.add.reduceat(rows, starts, axis=1, dtype=np.float64)
             self._starts = starts
             self._sums = np.ascontiguousarray(sums.T, np.float32)  # (G, N)
-            # float32 rounding of a bound and of a distance, generously: a bound lowered by it is never above the truth
-            self._slack = 4e-7 * rows.shape[1] * float(np.abs(rows).max(initial=0.0))
+            self._slack = _slack(rows)
 
     def __len__(self) -> int:
         return len(self.values)
@@ -88,7 +88,7 @@ class CodeIndex:
         threads = available_cpus() if threads is None else threads
         pieces = [piece for part in ranges for piece in _pieces(part, threads)]
         sums = np.add.reduceat(asked, self._starts, axis=1, dtype=np.float64).astype(np.float32)
-        slack = self._slack + 4e-7 * asked.shape[1] * float(np.abs(asked).max(initial=0.0))
+        slack = self._slack + _slack(asked)
 
         def one(piece: slice) -> tuple[np.ndarray, np.ndarray]:
             index = np.full((len(asked), count), -1, np.int64)
@@ -109,6 +109,13 @@ def merged(indices: Sequence[np.ndarray], distances: Sequence[np.ndarray], count
     index, distance = np.concatenate(indices, axis=1), np.concatenate(distances, axis=1)
     order = np.lexsort((np.where(index < 0, np.iinfo(np.int64).max, index), distance), axis=1)[:, :count]
     return np.take_along_axis(index, order, axis=1), np.take_along_axis(distance, order, axis=1)
+
+
+def _slack(rows: np.ndarray) -> float:
+    """What float32 rounding can add to a bound or take from a distance: D additions, each of half a unit in the last
+    place of a sum that is at most D times the largest number."""
+    columns = rows.shape[1]
+    return 6e-8 * columns * (columns / GROUP + 8) * float(np.abs(rows).max(initial=0.0))
 
 
 def _pieces(part: slice, threads: int) -> list[slice]:

@@ -27,7 +27,7 @@ from neuralgrasps.apply.novel_trial import (
 )
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet
-from neuralgrasps.model.codes import CONTACT_BLOCK, CodeBook
+from neuralgrasps.model.codes import CELLS, CONTACT_BLOCK, CodeBook
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.synthesis.select import grasp_features
@@ -165,6 +165,8 @@ def known_rows(field: KinematicField, codebook: CodeBook, *, hand: str, object_n
     """Rows of the training codes of a hand on an object; errors as for `novel_grasps`."""
     field.hand(hand)
     field.object(object_name)
+    if codebook.metric_size != CELLS:
+        raise InputError("these are free codes of an MlpField, which hold no pose and joints; give a KinematicField's.")
     if hand in codebook.hands and object_name in codebook.objects:
         rows = np.flatnonzero(codebook.where(hand=hand, object_name=object_name, is_test=False))
         if len(rows):

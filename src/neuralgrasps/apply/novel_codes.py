@@ -149,9 +149,9 @@ def nearer_side(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _codes(values: np.ndarray) -> np.ndarray:
-    """Values whose closeness is in [0, 1] and whose palm part is a rotation."""
+    """Values whose contact block is not negative and whose palm part is a rotation."""
     out = with_rotations(values, palm_rotations(values))
-    out[:, CONTACT_BLOCK] = np.clip(out[:, CONTACT_BLOCK], 0.0, 1.0)
+    out[:, CONTACT_BLOCK] = np.maximum(out[:, CONTACT_BLOCK], 0.0)
     return out
 
 
