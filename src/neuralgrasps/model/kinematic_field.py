@@ -94,6 +94,8 @@ class KinematicField:
     def encode(self, X_OH: np.ndarray, q: np.ndarray, *, hand: str, object_name: str) -> CodeBook:
         """Codes of known grasps (pose and joints given): computed exactly, nothing is inferred.
 
+        Of hands with more than 23 joints (`HandCodec.is_lossless`) a code keeps the 23 strongest synergies only.
+
         Args:
             X_OH: (N, 4, 4) hand base in the object frame, metres; q: (N, J) joints.
         """
@@ -124,7 +126,8 @@ class KinematicField:
 
         Args:
             noise_level: how far off the palm and posture blocks may be, in code units (0.1 = 1 cm, 0.1 rad,
-                5 % of a joint's range), one for all or (N,); 0 = decode exactly what the code says.
+                5 % of a joint's range), one for all or (N,); 0 = decode exactly what the code says. Hands that the
+                network was not trained on are decoded so at any level.
         Raises:
             ShapeError: the codes are not (N, 128).
         """
