@@ -70,7 +70,7 @@ def test_a_row_of_known_numbers() -> None:
     scores = ShapeScores(chamfer=np.array([0.003, 0.005]), oracle=np.array([0.002, 0.002]), distances_m=distances)
     row = hand_row(scores, np.array([0.0, 0.2]), part="test", given=KNOWN, object_name="003_cracker_box", hand="fetch")
     assert (row.chamfer_e3, row.oracle_e3, row.over_oracle) == (4.0, 2.0, pytest.approx(2.0))
-    assert row.paper_e3 == 1.44 and row.paper_in_reach is False
+    assert row.paper_e3 == 1.44 and row.perfect_meets_paper is False
     assert row.f_1mm == pytest.approx((0.5 + 1.0) / 2)
     assert row.f_2mm == pytest.approx((2 * 1.0 * 0.5 / 1.5 + 1.0) / 2)
     assert row.surface_mean_mm == pytest.approx(5.5 / 8) and row.contact_error_mean == pytest.approx(0.1)

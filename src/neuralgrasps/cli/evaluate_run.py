@@ -142,13 +142,15 @@ def show(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:
             f"{_listed(sides['above'])}; above where a perfect field is too: {len(sides['above_as_a_perfect_field'])}"
             f"{_listed(sides['above_as_a_perfect_field'])}."
         )
+    if note := scores.chamfer_note(part, given):
+        terminal.say(note)
 
 
 def _show_chamfer(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:
     rows = [r for r in scores.hands if (r.part, r.input) == (part, given)]
     hands = list(dict.fromkeys(r.hand for r in rows))
     body: list[list[Cell]] = []
-    for shape in (r for r in scores.objects if r.part == part):
+    for shape in scores.objects_of(part, given):
         cells: list[Cell] = [shape.object, _beside(shape.chamfer_e3, shape.paper_e3)]
         worst = shape.over_oracle
         for hand in hands:
@@ -156,8 +158,8 @@ def _show_chamfer(terminal: Terminal, scores: RunScores, part: str, given: str) 
             cells.append(None if row is None else _beside(row.chamfer_e3, row.paper_e3))
             worst = max(worst, row.over_oracle if row else 0.0)
         body.append([*cells, f"{worst:.3f}"])
-    terminal.say("Chamfer x 1e-3 (paper), and the worst of the row over a perfect field's:")
-    terminal.table(("object", "object itself", *hands, "over oracle"), body)
+    terminal.say("Chamfer x 1e-3 (paper), and the worst of the row over a perfect field's score (no bound):")
+    terminal.table(("object", "object itself", *hands, "over perfect"), body)
 
 
 def _show_surfaces(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:

@@ -12,7 +12,7 @@ from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.dataset.samples import Normalisation, normalisation_of
 from neuralgrasps.errors import ShapeError
 from neuralgrasps.geometry.mesh import Mesh
-from neuralgrasps.geometry.mesh_tree import build_tree, tree_distance
+from neuralgrasps.geometry.mesh_tree import MeshTree, build_tree, tree_distance
 from neuralgrasps.geometry.sampling import sample_surface
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.model.codes import CodeBook
@@ -125,12 +125,20 @@ class HandReconstruction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectReconstruction:
-    """The field's object (its grid) against the true mesh; `surface` one way, from the mesh to the field."""
+    """A field's object against the true mesh.
+
+    Attributes:
+        surface: of a shape (`score_object_shapes`) both ways; of a grid of true distances (`score_object`) from points
+            of the mesh to the grid's zero.
+        chamfer, oracle: means of the published measure, x 1, and of a perfect field.
+        shapes: how many reconstructions were scored.
+    """
 
     object: str
     surface: SurfaceErrors
     chamfer: float
     oracle: float
+    shapes: int = 1
 
 
 def reconstruct_hands(
@@ -207,7 +215,11 @@ def score_object(
     seed: int = 0,
     queries: int = QUERIES,
 ) -> ObjectReconstruction:
-    """A field's object against its true mesh; `normalisation` is that of the mesh's surface when None."""
+    """A grid of an object's true distances against its mesh; `normalisation` is that of the mesh's surface when None.
+
+    The surface error is |reconstructed| at points of the mesh, which is a distance only where the grid holds distances.
+    What a network says may be flat: score that with `score_object_shapes`.
+    """
     tree = build_tree(mesh)
     surface = sample_surface(mesh, SURFACE_POINTS, child_seed(seed, "surface", object_name))[0]
     score = published_chamfer(
@@ -223,4 +235,60 @@ def score_object(
         surface=surface_errors(reconstructed(surface)),
         chamfer=score.chamfer,
         oracle=score.oracle,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshShape:
+    """A true object as a `Shape`."""
+
+    mesh: Mesh
+    tree: MeshTree
+
+    @property
+    def bounds_O(self) -> np.ndarray:
+        return self.mesh.bounds
+
+    def signed_distance(self, points_O: np.ndarray) -> np.ndarray:
+        return tree_distance(self.tree, self.mesh, np.ascontiguousarray(points_O, np.float64))
+
+    def surface_distance(self, points_O: np.ndarray) -> np.ndarray:
+        return np.abs(self.signed_distance(points_O))
+
+    def surface_points(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        return sample_surface(self.mesh, count, int(rng.integers(2**31)))[0]
+
+
+def score_object_shapes(
+    given: Sequence[Shape],
+    mesh: Mesh,
+    *,
+    object_name: str,
+    normalisation: Normalisation,
+    seed: int = 0,
+    queries: int = QUERIES,
+    points: int = 1000,
+) -> ObjectReconstruction:
+    """Surfaces that a field says the object has, one per code, against its mesh: scored as hands are, both ways.
+
+    Raises:
+        ShapeError: no shapes.
+    """
+    if not len(given):
+        raise ShapeError(f"no shapes of '{object_name}' to score; expected at least one.")
+    true = MeshShape(mesh=mesh, tree=build_tree(mesh))
+    scores = score_shapes(
+        {"field": given},
+        [true] * len(given),
+        normalisation=normalisation,
+        seeds=[child_seed(seed, "object", object_name, i) for i in range(len(given))],
+        queries=queries,
+        points=points,
+    )["field"]
+    return ObjectReconstruction(
+        object=object_name,
+        surface=scores.surface,
+        chamfer=float(scores.chamfer.mean()),
+        oracle=float(scores.oracle.mean()),
+        shapes=len(given),
     )

@@ -56,7 +56,7 @@ def chamfer_table(scores: RunScores, part: str, given: str) -> Table:
     own = [r for r in scores.hands if (r.part, r.input) == (part, given)]
     hands = list(dict.fromkeys(r.hand for r in own))
     body = []
-    for shape in (r for r in scores.objects if r.part == part):
+    for shape in scores.objects_of(part, given):
         cells: list[HandRow | ObjectRow | None] = [shape]
         cells += [next((r for r in own if (r.object, r.hand) == (shape.object, hand)), None) for hand in hands]
         body.append((pretty_name(shape.object), *map(_chamfer_text, cells)))
@@ -72,7 +72,8 @@ def chamfer_table(scores: RunScores, part: str, given: str) -> Table:
         rows=tuple(body),
         meaning=f"Each cell: ours, its ratio to what {_PERFECT} scores on the same queries, and the paper's figure in "
         f"brackets. The measure compares a filled shape with a surface, so even {_PERFECT} scores well above zero, and "
-        f"a hollow shape below that. {counts if any(sides.values()) else ''}",
+        f"a hollow shape below that: its score is no bound. {counts if any(sides.values()) else ''} "
+        f"{scores.chamfer_note(part, given)}".rstrip(),
         how="The paper's figures are for its own hands, grasps and samples of the objects: the comparison is one of "
         "protocol, not of data. Means over the grasps of a hand and object.",
     )
