@@ -128,6 +128,7 @@ class ObjectScenes:
         object_name: the object; normalisation: its frame.
         samples: of S scenes.
         contact_maps: (S, P) float32.
+        contact_decay: length of their closeness, normalised units.
         hands: names; hand_index: (S,) int32 into them; grasp_index: (S,) int32 in the pair's grasp set.
     """
 
@@ -135,6 +136,7 @@ class ObjectScenes:
     normalisation: Normalisation
     samples: SceneSamples
     contact_maps: np.ndarray
+    contact_decay: float
     hands: tuple[str, ...]
     hand_index: np.ndarray
     grasp_index: np.ndarray
@@ -175,6 +177,7 @@ def object_scenes(
         normalisation=stored.normalisation,
         samples=scene_samples(samples, stored.normalisation),
         contact_maps=np.concatenate(maps),
+        contact_decay=dataset.manifest.config.contact_decay,
         hands=hands,
         hand_index=np.concatenate(hand_index),
         grasp_index=np.concatenate(grasp_index),

@@ -58,10 +58,12 @@ def chosen_device(device: torch.device | str | None) -> torch.device:
         return torch.device("cuda", local) if torch.cuda.is_available() else torch.device("cpu")
     try:
         chosen = torch.device(device)
+        if chosen.type not in ("cpu", "cuda"):
+            raise DeviceError(f"device '{device}' cannot be used by this field. Expected 'cpu' or 'cuda'.")
         if chosen.type == "cuda" and chosen.index is None:
             chosen = torch.device("cuda", local)
         torch.zeros(1, device=chosen)
-    except (RuntimeError, AssertionError) as error:
+    except (RuntimeError, AssertionError, TypeError) as error:
         raise DeviceError(
             f"device '{device}' cannot be used: {error}. Expected 'cpu', or 'cuda' where there is a GPU."
         ) from error
