@@ -48,26 +48,32 @@ def save_state(
     step: int,
     losses: Tensor,
     scenes: ObjectScenes,
+    workers: int,
 ) -> Path:
-    """Write weights, codes, Adam's moments, the step and the losses; whole or not at all."""
+    """Write weights, codes, Adam's moments, the step and the losses; whole or not at all.
+
+    Args:
+        workers: processes that train together; steps, draws and schedule depend on it.
+    """
     notes = {
         "version": _VERSION,
         "config": json.dumps(asdict(model.config), sort_keys=True),
         "step": str(step),
         "scenes": _fingerprint(scenes),
+        "workers": str(workers),
     }
     return save_training(folder / STATE_FILE, model, optimiser, tensors={"losses": losses}, notes=notes)
 
 
 def load_state(
-    folder: Path, model: LatentModel, optimiser: torch.optim.Optimizer, *, scenes: ObjectScenes
+    folder: Path, model: LatentModel, optimiser: torch.optim.Optimizer, *, scenes: ObjectScenes, workers: int
 ) -> tuple[int, Tensor] | None:
     """Put a checkpoint into model and optimiser.
 
     Returns:
         step and (step, 4) losses; None when the folder has no checkpoint.
     Raises:
-        DataFormatError: it is damaged, or belongs to other scenes or another configuration.
+        DataFormatError: it is damaged, or belongs to other scenes, another configuration or number of processes.
     """
     path = folder / STATE_FILE
     if not path.is_file():
@@ -82,6 +88,11 @@ def load_state(
             raise DataFormatError(
                 f"'{path}' was trained with another {what} than given; resume with the same, or train anew elsewhere."
             )
+    if notes.get("workers") != str(workers):
+        raise DataFormatError(
+            f"'{path}' was trained by {notes.get('workers', 'an unknown number of')} processes together, now there are "
+            f"{workers}: steps, draws and rates would be others. Resume with as many, or train anew elsewhere."
+        )
     losses = load_training(path, model, optimiser)["losses"]
     return int(notes["step"]), losses
 

@@ -36,6 +36,7 @@ class MlpResult:
         field: decodes codes; codes: (S, D) float32, one per training scene.
         losses: (steps, 4) total, SDF, triplet and norm of the codes, by step.
         samples: points seen; config: how; finished: whether the whole schedule was run.
+        contact_decay: length of the closeness in the contact maps, normalised units.
     """
 
     field: MlpField
@@ -44,6 +45,7 @@ class MlpResult:
     samples: int
     config: MlpTrainConfig
     finished: bool
+    contact_decay: float
 
 
 def train_mlp(
@@ -69,7 +71,8 @@ def train_mlp(
         device: where to train; a GPU of this process under torchrun if there is one, else the processor, when None.
     Raises:
         DivergedError: the loss became NaN or infinite.
-        DataFormatError: the checkpoint is damaged or belongs to another training.
+        DataFormatError: the checkpoint is damaged or belongs to another training or number of processes.
+        DeviceError: the device is not there.
     """
     config = config or MlpTrainConfig()
     with workers_here(device) as workers, torch_threads(config.threads), workers.own_randomness():
@@ -149,7 +152,8 @@ class MlpTrainer:
         """
         config, count = self.config, len(self.scenes)
         batch = self.batch(self.step)
-        whole = self.step * self.workers.count
+        # the step of one process at the same share of the schedule
+        whole = self.step * config.epochs * config.steps_per_epoch(count) // max(self.steps, 1)
         factor, prior = config.rate_factor(whole, count), config.prior_factor(whole, count)
         self.model.train()
         loss: LossParts = self.parallel(batch, self.step, self.workers.rank, prior)
@@ -201,11 +205,19 @@ class MlpTrainer:
         """Write a checkpoint; the first worker alone does."""
         if self.workers.rank == 0:
             losses = torch.stack(self.losses).cpu() if self.losses else torch.zeros(0, 4)
-            save_state(folder, self.model, self.optimiser, step=self.step, losses=losses, scenes=self.scenes)
+            save_state(
+                folder,
+                self.model,
+                self.optimiser,
+                step=self.step,
+                losses=losses,
+                scenes=self.scenes,
+                workers=self.workers.count,
+            )
 
     def restore(self, folder: Path) -> bool:
         """Take up the checkpoint of a folder; False when there is none."""
-        state = load_state(folder, self.model, self.optimiser, scenes=self.scenes)
+        state = load_state(folder, self.model, self.optimiser, scenes=self.scenes, workers=self.workers.count)
         if state is None:
             return False
         self.step, losses = state
@@ -229,6 +241,7 @@ class MlpTrainer:
             samples=self.step * per_step,
             config=self.config,
             finished=self.finished,
+            contact_decay=self.scenes.contact_decay,
         )
 
     def _recalibrated(self) -> MlpDecoder:
