@@ -12,13 +12,22 @@ import torch
 
 from neuralgrasps.dataset.balance import balanced_draw, sign_lists
 from neuralgrasps.errors import DataFormatError, DivergedError, InputError, ShapeError
+from neuralgrasps.model import mlp_infer
 from neuralgrasps.model.checkpoint import load_run
 from neuralgrasps.model.losses import variable_margin_triplet
 from neuralgrasps.model.mlp_bench import made_up_scenes
 from neuralgrasps.model.mlp_checkpoint import config_of, replay_dump, save_dump
 from neuralgrasps.model.mlp_data import FAR, ObjectScenes, SceneSamples, object_scenes, scene_samples
 from neuralgrasps.model.mlp_field import MlpConfig
-from neuralgrasps.model.mlp_infer import ContactTerm, MlpInferConfig, infer_codes, maps_from_samples
+from neuralgrasps.model.mlp_infer import (
+    PUBLISHED,
+    ContactTerm,
+    MlpInferConfig,
+    infer_codes,
+    infer_scenes,
+    maps_from_samples,
+    published_inference,
+)
 from neuralgrasps.model.mlp_loss import triplet_of_distances
 from neuralgrasps.model.mlp_parallel import Workers, workers_here
 from neuralgrasps.model.mlp_run import free_codebook, load_mlp_run, run_kind, save_mlp_run
@@ -215,6 +224,32 @@ def test_a_checkpoint_of_another_training_is_refused(scenes: ObjectScenes, tmp_p
         train_mlp(scenes, config=replace(SMALL, epochs=1), folder=tmp_path, resume=True, device="cpu")
 
 
+def test_a_checkpoint_of_more_processes_is_refused(scenes: ObjectScenes, tmp_path: Path) -> None:
+    trainer = MlpTrainer(scenes, SMALL, HERE)
+    trainer.one_step()
+    trainer.save(tmp_path)
+    trainer.workers = replace(HERE, count=2)
+    with pytest.raises(DataFormatError, match="by 1 processes together, now there are 2"):
+        trainer.restore(tmp_path)
+    trainer.workers = HERE
+    assert trainer.restore(tmp_path)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8])
+def test_rates_fall_to_the_end_however_many_processes(scenes: ObjectScenes, monkeypatch, count: int) -> None:
+    # two steps an epoch: with more processes than that, each of their steps counts for several of one process
+    config = replace(SMALL, epochs=20, points_per_scene=128, schedule="one-cycle")
+    monkeypatch.setattr(Workers, "wrapped", lambda self, model: model)
+    trainer = MlpTrainer(scenes, config, replace(HERE, count=count))
+    rates = []
+    for _ in range(trainer.steps):
+        trainer.one_step()
+        rates.append(trainer.optimiser.param_groups[0]["lr"] / config.net_rate)
+    peak = int(np.argmax(rates))
+    assert rates[peak] > 0.9 and rates[-1] < 0.05 and (np.diff(rates[peak:]) <= 0).all()
+    assert config.rate_factor(10**6, 6) == pytest.approx(1e-3)
+
+
 def test_nan_stops_with_a_dump_that_replays(scenes: ObjectScenes, tmp_path: Path) -> None:
     trainer = MlpTrainer(scenes, SMALL, HERE)
     for _ in range(3):
@@ -259,6 +294,7 @@ def test_outputs_that_start_outside_the_clamp_still_learn(scenes: ObjectScenes) 
 
 def test_schedules() -> None:
     assert PAPER.samples(250) == pytest.approx(1e10, rel=0.01)
+    assert (PAPER.step_scenes, PAPER.step_points) == (16, 16_384)  # the published batch
     assert PAPER_FAST.samples(250) <= PAPER.samples(250) / 10
     per_epoch = PAPER.steps_per_epoch(250)
     assert [PAPER.rate_factor(e * per_epoch, 250) for e in (0, 499, 500, 1999)] == [1.0, 1.0, 0.5, 0.125]
@@ -272,6 +308,8 @@ def test_schedules() -> None:
         assert less.samples(250) == pytest.approx(samples, rel=0.01) and less.points_per_scene <= 20_000
     assert shortened(PAPER_FAST, 1e12, 250) == PAPER_FAST
     assert shortened(PAPER, 1e9, 250).halve_epochs == 50
+    for samples in (6e5, 4e6, 1e8):  # the large batch does not keep a short schedule from being short
+        assert shortened(PAPER, samples, 250).samples(250) == pytest.approx(samples, rel=0.3)
     assert set(PRESETS) == {"paper", "paper-fast"}
     for config in PRESETS.values():
         assert config_of(json.loads(json.dumps(asdict(config)))) == config
@@ -297,10 +335,61 @@ def test_inference_finds_codes_and_scenes_do_not_matter_to_each_other(scenes: Ob
         infer_codes(result.field, scenes.samples, config=replace(how, start="nearest"))
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"schedule": "foo"}, {"precision": "fp99"}, {"prior": "none"}, {"start": "far"}, {"triplets": 0},
+     {"triplet_weight": -1.0}, {"triplet_weight": float("nan")}],
+)  # fmt: skip
+def test_wrong_inference_is_refused(wrong: dict) -> None:
+    with pytest.raises(InputError, match=f"{next(iter(wrong))} .*expected"):
+        MlpInferConfig(**wrong)
+
+
+def test_published_inference_says_what_it_is() -> None:
+    assert (PUBLISHED.steps, PUBLISHED.points, PUBLISHED.start, PUBLISHED.prior) == (800, 8_000, "zero", "square")
+    assert published_inference("cuda") == PUBLISHED
+    assert published_inference("cpu") == replace(PUBLISHED, points=published_inference("cpu").points)
+
+
+def test_the_prior_pulls_as_its_kind_says() -> None:
+    how = MlpInferConfig()
+    # far from 0 the square pulls as 2 z / D, the norm as z / |z|: one plain step tells them from each other
+    z = torch.full((1, 8), 2.0, requires_grad=True)
+    for kind, slope in (("norm", 8**-0.5), ("square", 0.5)):
+        (gradient,) = torch.autograd.grad(mlp_infer._priors(z, replace(how, prior=kind)).sum(), z)
+        assert torch.allclose(gradient, torch.full((1, 8), slope))
+
+
+def test_the_fast_path_is_given_back_when_inference_stops(scenes: ObjectScenes) -> None:
+    result = train_mlp(scenes, config=replace(SMALL, epochs=1), device="cpu")
+
+    def stopped(done: int, total: int, loss: float) -> None:
+        raise KeyboardInterrupt
+
+    for before, precision in ((False, "bf16"), (True, "fp32")):
+        result.field.decoder.fast = before
+        with pytest.raises(KeyboardInterrupt):
+            infer_codes(result.field, scenes.samples, config=MlpInferConfig(precision=precision), progress=stopped)
+        assert result.field.decoder.fast is before
+
+
+def test_maps_decay_as_those_of_the_dataset_do(scenes: ObjectScenes, monkeypatch) -> None:
+    result = train_mlp(scenes, config=replace(SMALL, epochs=1), device="cpu")
+    asked = []
+    monkeypatch.setattr(
+        mlp_infer, "maps_from_samples", lambda s, p, *, decay: asked.append(decay) or scenes.contact_maps
+    )
+    infer_scenes(
+        result.field, replace(scenes, contact_decay=0.2), known=scenes, known_codes=result.codes,
+        contact_points_O=np.zeros((64, 3)), config=MlpInferConfig(steps=0),
+    )  # fmt: skip
+    assert asked == [0.2]
+
+
 def test_maps_are_read_off_samples(small_dataset) -> None:
     scenes = object_scenes(small_dataset, "brick")
     stored = small_dataset.object("brick")
-    maps = maps_from_samples(scenes.samples, stored.normalisation.to_unit(stored.points_O))
+    maps = maps_from_samples(scenes.samples, stored.normalisation.to_unit(stored.points_O), decay=scenes.contact_decay)
     assert np.abs(maps - scenes.contact_maps).mean() < 0.1  # 300 samples around the object
     between = np.abs(scenes.contact_maps[:, None] - scenes.contact_maps).mean(axis=2)
     assert (np.abs(maps[:, None] - scenes.contact_maps).mean(axis=2).argmin(axis=1) == np.arange(20)).all()
@@ -344,7 +433,7 @@ def test_run_round_trip(scenes: ObjectScenes, tmp_path: Path) -> None:
     points, codes = torch.rand(20, 3) * 0.1, torch.as_tensor(result.codes)
     a, b = (f(points, codes, hand="ball", object_name="ball").sdf_hand for f in (run.field, result.field))
     assert torch.equal(a, b)
-    with pytest.raises(DataFormatError, match="version"):
+    with pytest.raises(DataFormatError, match="MlpField"):
         load_run(tmp_path, hands={}, objects={})
     (tmp_path / "codes.safetensors").write_bytes(b"x")
     with pytest.raises(DataFormatError, match="sha256"):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -26,6 +27,14 @@ Progress = Callable[[int, int, float], None]
 """Called as progress(steps done, all steps, mean loss of the scenes)."""
 
 
+_CHOICES = {
+    "schedule": ("step", "cosine"),
+    "prior": ("norm", "square"),
+    "start": ("zero", "nearest", "mean"),
+    "precision": ("bf16", "fp32"),
+}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MlpInferConfig:
     """How codes are inferred.
@@ -34,11 +43,12 @@ class MlpInferConfig:
         seed: of start codes and draws. steps: of Adam.
         points: of a scene in every step, drawn as in training.
         rate: of Adam; a tenth after half the steps ("step") or down as a cosine.
-        prior_weight: of the codes' mean norm.
+        prior_weight: of the codes' prior: "norm", their norm as in training, or "square", the mean of their squares.
         start: "zero": near 0 as published; "nearest": the known code that explains the samples best; "mean".
         start_std: of the start codes around it.
         triplet_weight, triplets: of the training's triplet loss with the scene as anchor, and how many of them in every
             step; in use when contact maps are given.
+        precision: of the products.
     """
 
     seed: int = 0
@@ -46,6 +56,7 @@ class MlpInferConfig:
     points: int = 1_024
     rate: float = 5e-3
     schedule: Literal["step", "cosine"] = "step"
+    prior: Literal["norm", "square"] = "norm"
     prior_weight: float = 1e-4
     start: Literal["zero", "nearest", "mean"] = "zero"
     start_std: float = 0.01
@@ -61,14 +72,34 @@ class MlpInferConfig:
                 f"rate {self.rate}, prior_weight {self.prior_weight}, start_std {self.start_std}; "
                 "expected > 0, >= 0, >= 0."
             )
-        if self.start not in ("zero", "nearest", "mean"):
-            raise InputError(f"start is '{self.start}'; expected 'zero', 'nearest' or 'mean'.")
+        if not self.triplet_weight >= 0.0 or self.triplets < 1:
+            raise InputError(
+                f"triplet_weight {self.triplet_weight}, triplets {self.triplets}; expected >= 0 and at least 1."
+            )
+        for name, known in _CHOICES.items():
+            if getattr(self, name) not in known:
+                raise InputError(f"{name} is '{getattr(self, name)}'; expected one of {', '.join(map(repr, known))}.")
 
 
-PUBLISHED = MlpInferConfig()
-"""800 steps from near 0, as published (with no contact term)."""
-PLACED = MlpInferConfig(steps=200, points=256, rate=0.05, schedule="cosine", start="nearest", triplet_weight=0.03)
-"""From the known code that explains the samples best; meant for use with contact maps."""
+PUBLISHED = MlpInferConfig(points=8_000, prior="square", prior_weight=2e-4)
+"""The published inference: signed distances and prior alone, 800 steps from near 0, 8,000 points a step.
+
+The prior weighs 1e-4 there, beside distances weighted 0.5 + 0.5; here they weigh 1 + 1, so it weighs 2e-4. Differs:
+points are drawn with replacement, predictions are not clamped, products are in bf16.
+"""
+PUBLISHED_ON_CPU = replace(PUBLISHED, points=512)
+"""The same with fewer points a step: 8,000 take a processor an hour for 25 scenes, 512 some minutes."""
+PLACED = MlpInferConfig(steps=200, points=256, rate=0.05, schedule="cosine", start="nearest", triplet_weight=0.1)
+"""Not published: from the known code that explains the samples best, for use with contact maps read off the samples.
+
+Those maps are read off exact distances and would retrieve as well without any network. The weight was chosen on spare
+grasps, which neither training nor the tables use.
+"""
+
+
+def published_inference(device: torch.device | str) -> MlpInferConfig:
+    """`PUBLISHED`, with the number of points that the device can do in minutes."""
+    return PUBLISHED if torch.device(device).type == "cuda" else PUBLISHED_ON_CPU
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,12 +118,12 @@ class ContactTerm:
     known_maps: np.ndarray
 
 
-def maps_from_samples(samples: SceneSamples, points_unit: np.ndarray, *, decay: float = 0.05) -> np.ndarray:
+def maps_from_samples(samples: SceneSamples, points_unit: np.ndarray, *, decay: float) -> np.ndarray:
     """Contact maps (N, P) float32 read off SDF samples: closeness of the hand at the nearest sample of the surface.
 
     Args:
         points_unit: (P, 3) the object's contact points, normalised units.
-        decay: length of the closeness, normalised units.
+        decay: length of the closeness, normalised units; the dataset's `contact_decay`.
     """
     maps = np.empty((len(samples), len(points_unit)), np.float32)
     for i, rows in enumerate(samples.rows.cpu().numpy()):
@@ -112,7 +143,7 @@ def infer_codes(
     config: MlpInferConfig | None = None,
     progress: Progress | None = None,
 ) -> MlpInferResult:
-    """Codes of N scenes from their SDF samples; all scenes at once, weights fixed, dropout off, as published 800 steps.
+    """Codes of N scenes from their SDF samples; all scenes at once, weights fixed, dropout off.
 
     A scene's result does not depend on the others. `samples` is on the field's device or is copied there.
 
@@ -124,7 +155,7 @@ def infer_codes(
         InputError: `known` is missing; ShapeError: it does not fit the field.
 
     Source:
-        Khargonkar et al. 2022, Sec. 4 (and DeepSDF, Park et al. 2019). Differs: published inference left dropout on.
+        Khargonkar et al. 2022, Sec. 4 (and DeepSDF, Park et al. 2019). `PUBLISHED` says what differs.
     """
     config = config or MlpInferConfig()
     size = field.decoder.config.code_size
@@ -137,20 +168,43 @@ def infer_codes(
         got = f"maps {contact.maps.shape}, known_maps {contact.known_maps.shape}"
         raise ShapeError(f"{got}; expected one row per scene ({len(samples)}) and per known code.")
     samples = samples.to(field.device)
-    decoder = field.decoder.eval()
-    was_fast, decoder.fast = decoder.fast, config.precision == "bf16"
-    start = _start_codes(field, samples, known, config)
-    codes = start.clone().requires_grad_()
     pull = _Pull(contact, known, config, field.device) if contact is not None and known is not None else None
+    with _products_in(field.decoder.eval(), config.precision):
+        start = _start_codes(field, samples, known, config)
+        codes = _descend(field, samples, start, pull, config, progress)
+        with torch.no_grad():
+            losses = _scene_losses(field, samples, codes, config)
+    return MlpInferResult(codes=codes.cpu().numpy(), losses=losses.cpu().numpy())
+
+
+@contextmanager
+def _products_in(decoder: MlpDecoder, precision: str) -> Iterator[None]:
+    """Inside, the decoder takes its fast path or not; afterwards it is as before."""
+    before, decoder.fast = decoder.fast, precision == "bf16"
+    try:
+        yield
+    finally:
+        decoder.fast = before
+
+
+def _descend(
+    field: MlpField,
+    samples: SceneSamples,
+    start: Tensor,
+    pull: _Pull | None,
+    config: MlpInferConfig,
+    progress: Progress | None,
+) -> Tensor:
+    """Adam from the start codes (N, D)."""
+    codes = start.clone().requires_grad_()
     optimiser = torch.optim.Adam([codes], lr=config.rate)
     for step in range(config.steps):
         optimiser.param_groups[0]["lr"] = config.rate * _factor(step, config)
         rows = _drawn(samples, config.points, config.seed, step)
-        out = _decoded(decoder, rows[..., :3], codes, config)
+        out = _decoded(field.decoder, rows[..., :3], codes, config)
         # sums over scenes: every scene is a problem of its own
-        loss = (2.0 * len(rows) * clamped_l1(out, rows[..., 3:], clamp=field.clamp)) + (
-            config.prior_weight * codes.norm(dim=-1).sum()
-        )
+        loss = 2.0 * len(rows) * clamped_l1(out, rows[..., 3:], clamp=field.clamp)
+        loss = loss + config.prior_weight * _priors(codes, config).sum()
         if pull is not None:
             loss = loss + config.triplet_weight * pull.loss(codes, step)
         optimiser.zero_grad()
@@ -158,10 +212,11 @@ def infer_codes(
         optimiser.step()
         if progress is not None:
             progress(step + 1, config.steps, float(loss.detach()) / len(rows))
-    with torch.no_grad():
-        losses = _scene_losses(field, samples, codes, config)
-    decoder.fast = was_fast
-    return MlpInferResult(codes=codes.detach().cpu().numpy(), losses=losses.cpu().numpy())
+    return codes.detach()
+
+
+def _priors(codes: Tensor, config: MlpInferConfig) -> Tensor:
+    return codes.norm(dim=-1) if config.prior == "norm" else codes.square().mean(dim=-1)
 
 
 class _Pull:
@@ -254,6 +309,7 @@ def infer_scenes(
     """
     term = None
     if contact_points_O is not None:
-        maps = maps_from_samples(scenes.samples, field.normalisation.to_unit(contact_points_O))
+        points_unit = field.normalisation.to_unit(contact_points_O)
+        maps = maps_from_samples(scenes.samples, points_unit, decay=scenes.contact_decay)
         term = ContactTerm(maps=maps, known_maps=known.contact_maps)
     return infer_codes(field, scenes.samples, known=known_codes, contact=term, config=config, progress=progress)
