@@ -1,15 +1,19 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from neuralgrasps.model import mlp_infer
 from neuralgrasps.model.mlp_run import load_mlp_run
 from tests.cli.conftest import Ended, Pipeline
 
 Call = Callable[..., Ended]
 
 
-def test_published_field_of_one_object(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
+def test_published_field_of_one_object(ng: Call, pipeline: Pipeline, tmp_path: Path, monkeypatch) -> None:
+    for name in ("PUBLISHED_ON_CPU", "PLACED"):  # the whole network for all steps takes a minute
+        monkeypatch.setattr(mlp_infer, name, replace(getattr(mlp_infer, name), steps=8, points=64))
     out = tmp_path / "run"
     asked = ("train", pipeline.dataset, "--out", out, "--field", "mlp", "--threads", 1)
     ended = ng(*asked, "--minutes", 0.02)
@@ -17,6 +21,9 @@ def test_published_field_of_one_object(ng: Call, pipeline: Pipeline, tmp_path: P
     figures, run = ended.result, load_mlp_run(out)
     assert figures["finished"] and figures["samples"] == run.samples > 0
     assert run.field.object_name == "gelatin_box" and set(run.codebook.hands) == {"fetch", "panda"}
+    unseen = run.codebook.is_test
+    assert run.placed is not None and not np.array_equal(run.placed.values[unseen], run.codebook.values[unseen])
+    assert "8 steps from near 0" in run.notes["test_codes"] and "not published" in run.notes["placed_codes"]
     assert run.codebook.is_test.sum() == 2 and run.codebook.metric_size == 128
     assert {len(g) for g in run.grasps.values()} == {6} and np.isfinite(run.codebook.values).all()
     # the same command, now without --minutes, finds the training finished and keeps its weights

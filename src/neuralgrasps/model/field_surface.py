@@ -29,14 +29,23 @@ class FieldSurface:
 
     bounds_O = None
 
-    def __init__(self, distance: SignedDistance, *, normalisation: Normalisation, cells: int = COARSE) -> None:
+    def __init__(
+        self,
+        distance: SignedDistance,
+        *,
+        normalisation: Normalisation,
+        cells: int = COARSE,
+        coarse_m: np.ndarray | None = None,
+    ) -> None:
         """
         Args:
             distance: (M, 3) points, object frame, metres -> (M,) metres. cells: of the coarse grid, along each axis.
+            coarse_m: its values at `coarse_points`, where they are known already.
         """
         self._distance = distance
         self._normalisation = normalisation
         self._cells = cells
+        self._coarse_m = coarse_m
 
     def signed_distance(self, points_O: np.ndarray) -> np.ndarray:
         return self._distance(points_O)
@@ -55,23 +64,27 @@ class FieldSurface:
         Raises:
             InputError: the field is positive or negative everywhere in the ball.
         """
-        return level_mesh(self._distance, self._normalisation, cells=self._cells)
+        return level_mesh(self._distance, self._normalisation, cells=self._cells, coarse_m=self._coarse_m)
 
     @cached_property
     def _tree(self):  # type: ignore[no-untyped-def]
         return build_tree(self.mesh)
 
 
-def level_mesh(distance: SignedDistance, normalisation: Normalisation, *, cells: int = COARSE) -> Mesh:
+def level_mesh(
+    distance: SignedDistance, normalisation: Normalisation, *, cells: int = COARSE, coarse_m: np.ndarray | None = None
+) -> Mesh:
     """Marching cubes over the box of the unit ball: everywhere on a coarse grid, again on a finer one near the surface.
 
     Args:
         cells: of the coarse grid along each axis; the finer one has `FINE` times as many.
+        coarse_m: distances at `coarse_points`, if known already.
     Raises:
         InputError: no surface is found.
     """
-    coarse = _grid_points(cells)
-    values = distance(normalisation.to_object(coarse)).reshape((cells + 1,) * 3) / normalisation.scale_m
+    if coarse_m is None:
+        coarse_m = distance(coarse_points(normalisation, cells=cells))
+    values = coarse_m.reshape((cells + 1,) * 3) / normalisation.scale_m
     fine = FINE * cells
     at = np.indices((fine + 1,) * 3).reshape(3, -1) / FINE
     guess = map_coordinates(values, at, order=1)
@@ -87,6 +100,7 @@ def level_mesh(distance: SignedDistance, normalisation: Normalisation, *, cells:
     return Mesh(np.asarray(normalisation.to_object(unit), np.float64), np.ascontiguousarray(faces, np.int32))
 
 
-def _grid_points(cells: int) -> np.ndarray:
+def coarse_points(normalisation: Normalisation, *, cells: int = COARSE) -> np.ndarray:
+    """((cells + 1)^3, 3) points of the coarse grid, object frame, metres."""
     axis = np.linspace(-1.0, 1.0, cells + 1)
-    return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    return normalisation.to_object(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3))

@@ -221,14 +221,19 @@ class MlpField:
     ) -> Callable[[np.ndarray], np.ndarray]:
         """The signed distance to one shape of a code (D,), as a function of points (M, 3) -> (M,), metres."""
         which = 0 if shape == "object" else 1
+        both = self.distances(code, batch=batch)
+        return lambda points_O: both(points_O)[which]
+
+    def distances(self, code: np.ndarray, *, batch: int = 16_384) -> Callable[[np.ndarray], np.ndarray]:
+        """The signed distances to object and hand of a code (D,), as a function of points (M, 3) -> (2, M), metres."""
         z = torch.as_tensor(np.asarray(code, np.float32), device=self.device)[None]
 
-        def distances(points_O: np.ndarray) -> np.ndarray:
+        def both(points_O: np.ndarray) -> np.ndarray:
             parts = []
             with torch.no_grad():
                 for part in torch.as_tensor(np.asarray(points_O, np.float32), device=self.device).split(batch):
                     out = self(part, z)
-                    parts.append((out.sdf_object, out.sdf_hand)[which][0].cpu().numpy())
-            return np.concatenate(parts)
+                    parts.append(torch.stack([out.sdf_object[0], out.sdf_hand[0]]).cpu().numpy())
+            return np.concatenate(parts, axis=1)
 
-        return distances
+        return both
