@@ -15,22 +15,20 @@ def main() -> None:
 
     known = book[book.where(hand="human", object_name=name, is_test=True)][0]
     found = ng.retrieve(known, book, object_name=name, hand="fetch", count=3)
-    rows = book.grasp_index[found.index[0]]
-    print(
-        f"Fetch grasps {rows} touch it most like human grasp {known.grasp_index[0]}: {found.map_distance[0].round(3)}"
-    )
+    rows, off = book.grasp_index[found.index[0]], found.map_distance[0].round(3)
+    print(f"Fetch grasps {rows} touch it most like human grasp {known.grasp_index[0]}, contact maps off by {off}")
 
     truth = run.grasps["human", name][known.grasp_index]
-    cloud_O = ng.observe_hand(field.packed["human"], truth.X_OH[0], truth.q[0], seed=0, noise_m=0.003)
-    seen = ng.infer_grasps([cloud_O], field, book[book.where(is_test=False)], hand="human", object_name=name)
+    view = ng.view_hand(field.hand("human"), field.object(name), truth.X_OH[0], truth.q[0], seed=0, noise_m=0.003)
+    seen = ng.infer_grasps(  # for a cloud of your own: points of the hand, metres, object frame
+        [view.points_O], field, book, hand="human", object_name=name, viewpoints_O=[view.viewpoint_O]
+    )
     off_mm = 1e3 * np.linalg.norm(seen.X_OH[0, :3, 3] - truth.X_OH[0, :3, 3])
-    print(
-        f"from 1,024 points with 3 mm noise the hand is found {off_mm:.1f} mm off; doubts: {seen.reasons[0] or 'none'}"
-    )
+    doubts = "; ".join(seen.reasons[0]) or "none"
+    print(f"from one view with 3 mm noise the wrist is found {off_mm:.1f} mm off; doubts: {doubts}")
 
-    new = ng.novel_grasps(
-        field, book, hand="allegro", object_name=name, config=ng.NovelConfig(kind="midpoint", count=8)
-    )
+    config = ng.NovelConfig(kind="midpoint", count=8)
+    new = ng.novel_grasps(field, book, hand="allegro", object_name=name, config=config)
     print(f"{len(new.grasps)} of 8 Allegro grasps halfway between known ones hold: {dict(new.counts)}")
     ng.save_grasps("novel_allegro.safetensors", new.grasps)
 

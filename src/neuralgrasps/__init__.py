@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from neuralgrasps.dataset.read import GraspDataset, read_dataset
     from neuralgrasps.dataset.schema import DatasetConfig
     from neuralgrasps.dataset.verify import verify_dataset
-    from neuralgrasps.evaluate.observe import observe_hand
+    from neuralgrasps.evaluate.observe import observe_hand, view_hand
     from neuralgrasps.geometry.camera import Intrinsics
     from neuralgrasps.grasps.contact_map import contact_map
     from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
@@ -89,6 +89,7 @@ _HOMES = {
     "train": "model.train",
     "validate_grasps": "sim.validate",
     "verify_dataset": "dataset.verify",
+    "view_hand": "evaluate.observe",
     "write_report": "report.page",
 }
 
@@ -140,6 +141,7 @@ __all__ = [
     "train",
     "validate_grasps",
     "verify_dataset",
+    "view_hand",
     "write_report",
 ]
 

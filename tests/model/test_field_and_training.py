@@ -11,6 +11,7 @@ from neuralgrasps.errors import DataFormatError, DivergedError, InputError, Shap
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.rotation import matrix_from_6d
 from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.model import optimise as optimise_module
 from neuralgrasps.model.checkpoint import load_run, restored_config, save_run
 from neuralgrasps.model.codes import CELLS
 from neuralgrasps.model.field import GraspField
@@ -254,6 +255,30 @@ def test_killed_training_goes_on_to_the_same_weights(
     for a, b in zip(resumed.field.decoder.parameters(), whole.field.decoder.parameters(), strict=True):
         assert torch.equal(a, b)
     assert not (tmp_path / "training.safetensors").exists()
+
+
+def test_interrupted_training_is_kept_at_once(
+    small_world, small_dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C long before the first checkpoint, in the middle of a step: the steps before are kept."""
+    config = TrainConfig(steps=6, batch=8, jitter=Jitter(copies=1), seed=4)
+    models = {"hands": small_world.hands, "objects": small_world.objects}
+    whole = train(small_dataset, **models, config=config)
+    losses = iter(range(100))
+    real = optimise_module.batch_loss
+
+    def interrupted(*arguments):
+        value = real(*arguments)  # random numbers of the step are drawn, its weights are not
+        if next(losses) == 3:
+            raise KeyboardInterrupt
+        return value
+
+    monkeypatch.setattr(optimise_module, "batch_loss", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        train(small_dataset, **models, config=config, folder=tmp_path)
+    seen = []
+    resumed = train(small_dataset, **models, config=config, folder=tmp_path, progress=lambda d, *_: seen.append(d))
+    assert seen[0] == 4 and np.array_equal(resumed.losses, whole.losses)
 
 
 def test_a_checkpoint_of_another_training_is_not_gone_on_from(

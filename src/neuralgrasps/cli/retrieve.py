@@ -10,12 +10,11 @@ import tyro
 from neuralgrasps.cli.evaluate import open_run
 from neuralgrasps.cli.options import Names, OptionalFile, OptionalText, PositionalFolder
 from neuralgrasps.cli.outputs import check_writable, make_parent
+from neuralgrasps.cli.retrieve_query import of_cloud, of_file, of_run
 from neuralgrasps.cli.terminal import Outcome, Terminal
-from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from neuralgrasps.model.checkpoint import Run
     from neuralgrasps.model.codes import CodeBook
 
@@ -29,6 +28,10 @@ def retrieve(
     query_hand: OptionalText = None,
     query_index: int = 0,
     query: OptionalFile = None,
+    query_cloud: OptionalFile = None,
+    viewpoint: Annotated[
+        tuple[float, float, float] | None, tyro.conf.arg(metavar="X Y Z", help_behavior_hint="(optional)")
+    ] = None,
     hand: OptionalText = None,
     count: int = 5,
     farthest: bool = False,
@@ -38,14 +41,19 @@ def retrieve(
 ) -> Outcome:
     """Find the grasps of a run that touch an object most like a given grasp does.
 
-    The query is a grasp of the run (--query-hand, --query-index) or of a grasp file (--query FILE, --query-index).
+    The query is a grasp of the run (--query-hand, --query-index), of a grasp file (--query FILE, --query-index), or a
+    hand that was only seen (--query-cloud FILE): its points, in metres, in the object's frame. The nearest by code are
+    put in order by contact map.
 
     Args:
-        run: folder that `train` wrote.
+        run: folder that `train` wrote, or the name of a shipped run.
         object_name: object held; default the run's first, or the query file's.
-        query_hand: hand of the query; default the run's first.
+        query_hand: hand of the query; default the run's first. With --query-cloud: the hand that was seen, whose pose
+            and joints are then found; without it only where it touches is used.
         query_index: which grasp of the dataset or the file.
         query: grasp file, of any hand.
+        query_cloud: points of a hand: .ply, .npy or x y z text.
+        viewpoint: where the camera stood, object frame, metres, for a cloud of one view.
         hand: only grasps of this hand; default of all.
         count: how many.
         farthest: the least similar instead.
@@ -53,27 +61,30 @@ def retrieve(
         hands: files of hands that are not built in and have moved.
         objects: the same for objects.
     """
+    import numpy as np
+
     from neuralgrasps.apply.retrieve import retrieve as find
 
     if picture is not None:
         check_writable(picture)
-    if query is not None and query_hand is not None:
-        raise InputError("--query FILE and --query-hand both name the query; give one of them.")
+    if query is not None and (query_hand is not None or query_cloud is not None):
+        raise InputError("--query, --query-cloud and --query-hand each name a query; with --query give neither other.")
+    if viewpoint is not None and (query_cloud is None or query_hand is None):
+        raise InputError("--viewpoint is of a --query-cloud whose hand is named with --query-hand.")
     with terminal.progress("reading the run"):
         model = open_run(run, hands, objects)
-    book = model.codebook
-    if query is not None:
-        asked, name, model = _query_from_file(model, query, query_index, object_name)
-        gallery = book
+    if query_cloud is not None:
+        asked = of_cloud(terminal, model, query_cloud, object_name, hand=query_hand, viewpoint_O=viewpoint)
+    elif query is not None:
+        asked = of_file(model, query, query_index, object_name)
     else:
-        name = _object(book, object_name)
-        row = _query_row(book, name, query_hand, query_index)
-        asked, gallery = book[row], _without(book, row)
-    found = find(asked, gallery, object_name=name, hand=hand, count=count, farthest=farthest, include_test=True)
+        asked = of_run(model, object_name, query_hand, query_index)
+    gallery, name, model = asked.gallery, asked.object, asked.run
+    found = find(asked.code, gallery, object_name=name, hand=hand, count=count, farthest=farthest, include_test=True)
     rows = _rows(gallery, found, range(int((found.index[0] >= 0).sum())))
-    query_name = asked.hands[int(asked.hand_index[0])]
+    query_name = asked.code.hands[int(asked.code.hand_index[0])]
     which = "least" if farthest else "most"
-    terminal.say(f"{name}: grasps that hold it {which} like grasp {query_index} of {query_name}")
+    terminal.say(f"{name}: grasps that hold it {which} like {asked.text}")
     terminal.table(
         ("rank", "hand", "grasp", "part", "code distance", "contact distance"),
         [
@@ -89,66 +100,18 @@ def retrieve(
         ],
     )
     terminal.say(
-        "Distances: mean absolute difference of the contact part of the codes, and of the contact maps; 0 = same."
+        "Distances: mean absolute difference of the contact part of the codes, and of the contact maps, by which the "
+        "first 20 are put in order; 0 = same."
     )
-    result: dict[str, Any] = {"object": name, "query_hand": query_name, "query_index": query_index, "results": rows}
+    result: dict[str, Any] = {"object": name, "query": asked.text, "query_hand": query_name, "results": rows}
+    if query_cloud is None:
+        result["query_index"] = query_index
     if picture is not None:
-        _draw(model, [asked, *(gallery[int(i)] for i in found.index[0] if i >= 0)], name, picture)
+        shown = [asked.code] if np.isfinite(asked.code.values).all() else []  # points alone have no hand to draw
+        _draw(model, [*shown, *(gallery[int(i)] for i in found.index[0] if i >= 0)], name, picture)
         terminal.say(f"Picture: {picture}")
         result["picture"] = str(picture)
     return Outcome(result=result)
-
-
-def _object(book: CodeBook, name: str | None) -> str:
-    if name is None:
-        return book.objects[0]
-    if name not in book.objects:
-        raise unknown_name("object", name, book.objects)
-    return name
-
-
-def _query_row(book: CodeBook, object_name: str, hand: str | None, index: int) -> int:
-    import numpy as np
-
-    if hand is None:
-        hand = next(h for h in book.hands if book.where(hand=h, object_name=object_name).any())
-    of_pair = np.flatnonzero(book.where(hand=hand, object_name=object_name))
-    if not len(of_pair):
-        raise InputError(f"the run holds no grasps of hand '{hand}' on '{object_name}'.")
-    row = of_pair[book.grasp_index[of_pair] == index]
-    if not len(row):
-        numbers = np.sort(book.grasp_index[of_pair])
-        raise InputError(
-            f"--query-index is {index}; the run holds {len(numbers)} grasps of '{hand}' on '{object_name}', numbered "
-            f"{numbers[0]} to {numbers[-1]} with gaps for grasps in neither part."
-        )
-    return int(row[0])
-
-
-def _without(book: CodeBook, row: int) -> CodeBook:
-    import numpy as np
-
-    return book[np.flatnonzero(np.arange(len(book)) != row)]
-
-
-def _query_from_file(run: Run, path: Path, index: int, object_name: str | None) -> tuple[CodeBook, str, Run]:
-    """The code of a grasp from a file; hands that the run does not know are added to its field."""
-    from dataclasses import replace
-
-    from neuralgrasps.grasps.grasp_io import load_grasps
-    from neuralgrasps.hands.zoo import load_hand
-
-    grasps = load_grasps(path)
-    name = _object(run.codebook, object_name or grasps.object)
-    if not 0 <= index < len(grasps):
-        raise InputError(f"--query-index is {index}; '{path}' holds {len(grasps)} grasps, numbered from 0.")
-    field = run.field
-    if grasps.hand not in field.hands:
-        field = field.with_hand(load_hand(grasps.config.get("hand_source", grasps.hand)))
-    field.hand(grasps.hand).check_q(grasps.q)
-    one = grasps[index]
-    code = field.encode(one.X_OH, one.q, hand=one.hand, object_name=name)
-    return code, name, replace(run, field=field)
 
 
 def _rows(gallery: CodeBook, found: Any, ranks: range) -> list[dict[str, Any]]:

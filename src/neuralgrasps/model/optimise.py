@@ -60,6 +60,8 @@ class TrainConfig:
             raise InputError(
                 f"steps {self.steps}, batch {self.batch}, copies {self.jitter.copies}; expected at least 0, 1 and 0."
             )
+        if not self.learning_rate > 0.0:
+            raise InputError(f"learning_rate is {self.learning_rate}; expected more than 0, such as 0.003.")
         if self.threads < 1:
             raise InputError(f"threads is {self.threads}; expected at least 1.")
         if not 0.0 < self.noise_min <= self.noise_max:
@@ -90,28 +92,63 @@ def optimise(
     state = None if folder is None else folder / STATE_FILE
     key = training_key(config, data)
     first = _restore(state, key, decoder, optimiser, generator, losses)
-    saved = time.monotonic()
-    for step in range(first, config.steps):
-        optimiser.param_groups[0]["lr"] = config.learning_rate * one_cycle(step / config.steps)
-        loss = batch_loss(field, decoder, data, cells, config, generator)
-        if not math.isfinite(float(loss.detach())):
-            raise DivergedError(
-                f"the loss of step {step} is {float(loss.detach())}; lower the learning rate ({config.learning_rate})."
-            )
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0)
-        optimiser.step()
-        losses[step] = loss.detach()
-        if state is not None and time.monotonic() - saved > CHECKPOINT_S and step + 1 < config.steps:
-            tensors = {"losses": losses[: step + 1], "generator": generator.get_state()}
+    point = _Point(done=first, drawn=generator.get_state())
+
+    def keep() -> None:
+        if state is not None and point.whole and 0 < point.done < config.steps:
+            tensors = {"losses": losses[: point.done], "generator": point.drawn}
             save_training(state, decoder, optimiser, tensors=tensors, notes={"key": key})
-            saved = time.monotonic()
-        if progress is not None:
-            progress(step + 1, config.steps, float(losses[step]))
+
+    saved = time.monotonic()
+    try:
+        for step in range(first, config.steps):
+            optimiser.param_groups[0]["lr"] = config.learning_rate * one_cycle(step / config.steps)
+            losses[step] = _step(field, decoder, data, cells, config, generator, optimiser, point, step)
+            point.done, point.drawn, point.whole = step + 1, generator.get_state(), True
+            if time.monotonic() - saved > CHECKPOINT_S:
+                keep()
+                saved = time.monotonic()
+            if progress is not None:
+                progress(step + 1, config.steps, float(losses[step]))
+    except KeyboardInterrupt:
+        keep()
+        raise
     if state is not None:
         state.unlink(missing_ok=True)
     return losses.numpy()
+
+
+@dataclass(slots=True)
+class _Point:
+    """Where a training can be gone on from: steps done, random state then; not `whole` while weights are changing."""
+
+    done: int
+    drawn: Tensor
+    whole: bool = True
+
+
+def _step(
+    field: KinematicField,
+    decoder: Decoder,
+    data: Mapping[str, HandData],
+    cells: CellTensors,
+    config: TrainConfig,
+    generator: torch.Generator,
+    optimiser: torch.optim.Optimizer,
+    point: _Point,
+    step: int,
+) -> float:
+    """One gradient step; its loss."""
+    loss = batch_loss(field, decoder, data, cells, config, generator)
+    value = float(loss.detach())
+    if not math.isfinite(value):
+        raise DivergedError(f"the loss of step {step} is {value}; lower the learning rate ({config.learning_rate}).")
+    optimiser.zero_grad()
+    loss.backward()
+    torch.nn.utils.clip_grad_norm_(decoder.parameters(), 1.0)
+    point.whole = False
+    optimiser.step()
+    return value
 
 
 def one_cycle(done: float) -> float:
