@@ -1,12 +1,15 @@
 """Retrieving for a hand that was only seen, and what cannot be asked."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import neuralgrasps
-from tests.cli.conftest import Call, Pipeline
+from tests.cli.conftest import Ended, Pipeline
+
+Call = Callable[..., Ended]
 
 
 @pytest.fixture
@@ -35,7 +38,7 @@ def test_points_that_are_of_no_hand_at_the_object_are_refused(
     ng: Call, pipeline: Pipeline, cloud: Path, tmp_path: Path
 ) -> None:
     far = tmp_path / "far.npy"
-    np.save(far, np.load(cloud) + [0.0, 0.0, 0.8])
+    np.save(far, np.load(cloud) + np.array([0.0, 0.0, 0.8]))
     ended = ng("retrieve", pipeline.run, "--query-cloud", far)
     assert ended.code == 2 and "in the object's frame" in ended.err
     np.save(far, np.load(cloud)[:3])
