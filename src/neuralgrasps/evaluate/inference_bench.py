@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -9,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neuralgrasps.errors import InputError, unknown_name
-from neuralgrasps.evaluate.observe import observe_hand, view_hand
+from neuralgrasps.evaluate.observe import observe_hand, view_hand, with_outliers, with_pose_error
 from neuralgrasps.evaluate.retrieval import score_codebook
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.model.codes import CodeBook, join_codes
@@ -30,12 +31,19 @@ class Condition:
         one_view: by one depth camera, the object and the hand in the way; else all over the hand.
         noise_m: standard deviation, of each coordinate, or along the ray of one view.
         viewpoint: the camera's place is told. noise_known: so is `noise_m`; else it is estimated.
+        outliers: share of the points that are anywhere in a box around the hand.
+        spill: share of the points that are of visible object; of one view only.
+        pose_off_m, pose_off_rad: how far off the object's pose is, in a random direction.
     """
 
     one_view: bool
     noise_m: float
     viewpoint: bool = False
     noise_known: bool = False
+    outliers: float = 0.0
+    spill: float = 0.0
+    pose_off_m: float = 0.0
+    pose_off_rad: float = 0.0
 
 
 CONDITIONS: Mapping[str, Condition] = {
@@ -43,6 +51,9 @@ CONDITIONS: Mapping[str, Condition] = {
     "F3": Condition(one_view=False, noise_m=0.003),
     "V1": Condition(one_view=True, noise_m=0.001),
     "V3": Condition(one_view=True, noise_m=0.003),
+    "V3 outliers": Condition(one_view=True, noise_m=0.003, outliers=0.05),
+    "V3 spill": Condition(one_view=True, noise_m=0.003, spill=0.10),
+    "V3 pose": Condition(one_view=True, noise_m=0.003, pose_off_m=0.005, pose_off_rad=math.radians(3.0)),
     "V1 eye": Condition(one_view=True, noise_m=0.001, viewpoint=True),
     "V3 eye": Condition(one_view=True, noise_m=0.003, viewpoint=True),
 }
@@ -145,12 +156,18 @@ def observe(
     for X_OH, q, i in zip(grasps.X_OH, grasps.q, index, strict=True):
         at = child_seed(seed, "observed", grasps.hand, grasps.object, int(i))
         if how.one_view:
-            view = view_hand(hand, obj, X_OH, q, seed=at, noise_m=how.noise_m)
-            clouds.append(view.points_O)
-            eyes.append(view.viewpoint_O)
+            view = view_hand(hand, obj, X_OH, q, seed=at, noise_m=how.noise_m, spill=how.spill)
+            cloud, eye = view.points_O, view.viewpoint_O
         else:
-            clouds.append(observe_hand(packed, X_OH, q, seed=at, noise_m=how.noise_m))
-    return clouds, np.stack(eyes) if eyes else None
+            cloud, eye = observe_hand(packed, X_OH, q, seed=at, noise_m=how.noise_m), np.zeros(3)
+        if how.outliers > 0.0:
+            cloud = with_outliers(cloud, how.outliers, seed=at)
+        if how.pose_off_m > 0.0 or how.pose_off_rad > 0.0:
+            cloud, X = with_pose_error(cloud, how.pose_off_m, how.pose_off_rad, centre_O=obj.com_O, seed=at)
+            eye = X[:3, :3] @ eye + X[:3, 3]
+        clouds.append(cloud)
+        eyes.append(eye)
+    return clouds, np.stack(eyes) if how.one_view else None
 
 
 def infer_pair(
