@@ -53,6 +53,19 @@ def test_stray_surfaces_of_the_object_count() -> None:
     assert scored(stray).surface.p95_m > 0.04
 
 
+def test_what_lies_outside_the_ball_does_not_count() -> None:
+    """A stray surface in a corner of the box, and an inside that goes on beyond the ball: closed at its edge."""
+
+    def corner(p: np.ndarray) -> np.ndarray:
+        return np.minimum(ball(0.04)(p), np.linalg.norm(p - 0.11, axis=1) - 0.02)
+
+    assert scored(corner).surface.p95_m < 5e-4
+    wide = FieldSurface(corner, normalisation=FRAME, cells=40, reach=2.0)
+    assert np.linalg.norm(wide.mesh.vertices, axis=1).max() > 0.2
+    endless = FieldSurface(lambda p: -np.ones(len(p)), normalisation=FRAME, cells=40).mesh
+    assert np.allclose(np.linalg.norm(endless.vertices, axis=1), 0.12, atol=0.004)
+
+
 @pytest.fixture(scope="module")
 def run(small_dataset, tmp_path_factory) -> MlpRun:
     config = MlpTrainConfig(

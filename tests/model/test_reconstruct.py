@@ -152,5 +152,5 @@ def test_the_zero_surface_of_a_field_with_a_stray_part() -> None:
     )
     assert surface.surface_distance(middle[None])[0] == pytest.approx(0.05, rel=0.01)
     assert signed_distance(surface.mesh, np.stack([middle, stray, middle + 0.1]))[:2].max() < 0  # facing outwards
-    with pytest.raises(InputError, match="one sign everywhere"):
+    with pytest.raises(InputError, match="positive everywhere"):
         level_mesh(lambda p: np.ones(len(p)), frame, cells=8)

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from neuralgrasps.dataset.samples import contact_maps
+from neuralgrasps.dataset.samples import Normalisation, contact_maps
 from neuralgrasps.errors import InputError
 from neuralgrasps.evaluate.reconstruction import ObjectReconstruction, score_object_shapes, score_shapes
 from neuralgrasps.evaluate.retrieval import score_codebook
@@ -31,7 +31,7 @@ from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.model.codes import CodeBook
 from neuralgrasps.model.field_surface import FieldSurface, coarse_points
 from neuralgrasps.model.mlp_run import MlpRun
-from neuralgrasps.model.reconstruct import SurfaceErrors, posed_hands, surface_errors
+from neuralgrasps.model.reconstruct import Shape, SurfaceErrors, posed_hands, surface_errors
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_seed
 
@@ -67,8 +67,8 @@ def evaluate_mlp_run(
 
     Training grasps have the codes learned with the field. Unseen ones have those that the published inference finds
     from signed distances, and, as rows of their own, those placed by contact maps too. Shapes, hands and objects alike,
-    are meshes of the zero surface, stray ones included, on a grid: good to a few tenths of a millimetre. The object is
-    that of the same codes as the hands.
+    are meshes of the zero surface on a grid, good to a few tenths of a millimetre, stray surfaces included: in the unit
+    ball, or as far as the true hand reaches. The object is that of the same codes as the hands.
 
     Args:
         packed: the hands, by name; obj: the field's object.
@@ -169,10 +169,12 @@ def _shapes(
         )
     index = rows.grasp_index.astype(np.int64)
     grasps = run.grasps[hand, name][index]
-    surfaces = [_surfaces(run, code) for code in rows.values]
+    true_hands = posed_hands(packed, grasps.X_OH, grasps.q)
+    reach = max(1.0, *(_reach(shape, frame) for shape in true_hands))
+    surfaces = [_surfaces(run, code, reach) for code in rows.values]
     scores = score_shapes(
         {case.given: [pair["hand"] for pair in surfaces]},
-        posed_hands(packed, grasps.X_OH, grasps.q),
+        true_hands,
         normalisation=frame,
         seeds=[child_seed(config.seed, "shapes", hand, name, int(i)) for i in index],
         queries=config.queries,
@@ -185,14 +187,20 @@ def _shapes(
     return _Measured(row=row, distances_m=scores.distances_m, objects=[pair["object"] for pair in surfaces])
 
 
-def _surfaces(run: MlpRun, code: np.ndarray) -> dict[Literal["object", "hand"], FieldSurface]:
-    """What a code says of both shapes; the coarse grid is decoded once for both."""
+def _surfaces(run: MlpRun, code: np.ndarray, reach: float) -> dict[Literal["object", "hand"], FieldSurface]:
+    """What a code says of both shapes within a ball; the coarse grid is decoded once for both."""
     field, frame = run.field, run.field.normalisation
-    coarse = field.distances(code)(coarse_points(frame))
+    coarse = field.distances(code)(coarse_points(frame, reach=reach))
     return {
-        "object": FieldSurface(field.distance(code, "object"), normalisation=frame, coarse_m=coarse[0]),
-        "hand": FieldSurface(field.distance(code, "hand"), normalisation=frame, coarse_m=coarse[1]),
+        "object": FieldSurface(field.distance(code, "object"), normalisation=frame, coarse_m=coarse[0], reach=reach),
+        "hand": FieldSurface(field.distance(code, "hand"), normalisation=frame, coarse_m=coarse[1], reach=reach),
     }
+
+
+def _reach(shape: Shape, frame: Normalisation) -> float:
+    """How far from the object's centre a shape reaches, normalised units."""
+    points = frame.to_unit(shape.surface_points(2_000, np.random.default_rng(0)))
+    return 1.05 * float(np.linalg.norm(points, axis=1).max())
 
 
 def _object(

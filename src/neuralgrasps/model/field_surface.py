@@ -19,9 +19,10 @@ COARSE, FINE = 80, 2  # cells along each axis, and how much finer near the surfa
 
 
 class FieldSurface:
-    """What a field calls the surface of a shape, within its unit ball; a `Shape`.
+    """What a field calls the surface of a shape, within a ball; a `Shape`.
 
-    Stray surfaces far from the shape are part of it, as the field's user would meet them.
+    Stray surfaces far from the shape are part of it, as the field's user would meet them. What the field says outside
+    the ball is nothing: it was not trained there. Where the inside reaches the ball's edge it is closed there.
 
     Attributes:
         bounds_O: None: such a field may say "inside" anywhere.
@@ -36,16 +37,19 @@ class FieldSurface:
         normalisation: Normalisation,
         cells: int = COARSE,
         coarse_m: np.ndarray | None = None,
+        reach: float = 1.0,
     ) -> None:
         """
         Args:
             distance: (M, 3) points, object frame, metres -> (M,) metres. cells: of the coarse grid, along each axis.
             coarse_m: its values at `coarse_points`, where they are known already.
+            reach: radius of the ball, normalised units.
         """
         self._distance = distance
         self._normalisation = normalisation
         self._cells = cells
         self._coarse_m = coarse_m
+        self._reach = reach
 
     def signed_distance(self, points_O: np.ndarray) -> np.ndarray:
         return self._distance(points_O)
@@ -62,9 +66,11 @@ class FieldSurface:
         """The surface, object frame, metres.
 
         Raises:
-            InputError: the field is positive or negative everywhere in the ball.
+            InputError: the field is positive everywhere in the ball.
         """
-        return level_mesh(self._distance, self._normalisation, cells=self._cells, coarse_m=self._coarse_m)
+        return level_mesh(
+            self._distance, self._normalisation, cells=self._cells, coarse_m=self._coarse_m, reach=self._reach
+        )
 
     @cached_property
     def _tree(self):  # type: ignore[no-untyped-def]
@@ -72,35 +78,41 @@ class FieldSurface:
 
 
 def level_mesh(
-    distance: SignedDistance, normalisation: Normalisation, *, cells: int = COARSE, coarse_m: np.ndarray | None = None
+    distance: SignedDistance,
+    normalisation: Normalisation,
+    *,
+    cells: int = COARSE,
+    coarse_m: np.ndarray | None = None,
+    reach: float = 1.0,
 ) -> Mesh:
-    """Marching cubes over the box of the unit ball: everywhere on a coarse grid, again on a finer one near the surface.
+    """Marching cubes within a ball: everywhere on a coarse grid of its box, again on a finer one near the surface.
 
     Args:
         cells: of the coarse grid along each axis; the finer one has `FINE` times as many.
-        coarse_m: distances at `coarse_points`, if known already.
+        coarse_m: distances at `coarse_points`, if known already. reach: radius of the ball, normalised units.
     Raises:
         InputError: no surface is found.
     """
     if coarse_m is None:
-        coarse_m = distance(coarse_points(normalisation, cells=cells))
+        coarse_m = distance(coarse_points(normalisation, cells=cells, reach=reach))
     values = coarse_m.reshape((cells + 1,) * 3) / normalisation.scale_m
     fine = FINE * cells
     at = np.indices((fine + 1,) * 3).reshape(3, -1) / FINE
     guess = map_coordinates(values, at, order=1)
-    near = np.flatnonzero(np.abs(guess) < 1.5 * 2.0 / cells)
+    near = np.flatnonzero(np.abs(guess) < 1.5 * 2.0 * reach / cells)
     if len(near):
-        points = (at[:, near].T * (2.0 / cells)) - 1.0
+        points = reach * ((at[:, near].T * (2.0 / cells)) - 1.0)
         guess[near] = distance(normalisation.to_object(points)) / normalisation.scale_m
-    volume = guess.reshape((fine + 1,) * 3)
+    edge = reach * (np.linalg.norm(at * (2.0 / cells) - 1.0, axis=0) - (1.0 - 1.0 / cells))  # half a cell inside
+    volume = np.maximum(guess, edge).reshape((fine + 1,) * 3)
     if not volume.min() < 0.0 < volume.max():
-        raise InputError("the field has no surface in the unit ball: it has one sign everywhere; train it longer.")
+        raise InputError("the field has no surface in the ball: it is positive everywhere; train it longer.")
     vertices, faces, _, _ = marching_cubes(volume, 0.0)
-    unit = vertices * (2.0 / fine) - 1.0
+    unit = reach * (vertices * (2.0 / fine) - 1.0)
     return Mesh(np.asarray(normalisation.to_object(unit), np.float64), np.ascontiguousarray(faces, np.int32))
 
 
-def coarse_points(normalisation: Normalisation, *, cells: int = COARSE) -> np.ndarray:
+def coarse_points(normalisation: Normalisation, *, cells: int = COARSE, reach: float = 1.0) -> np.ndarray:
     """((cells + 1)^3, 3) points of the coarse grid, object frame, metres."""
-    axis = np.linspace(-1.0, 1.0, cells + 1)
+    axis = np.linspace(-reach, reach, cells + 1)
     return normalisation.to_object(np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3))
