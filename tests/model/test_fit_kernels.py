@@ -50,9 +50,11 @@ def test_link_twists_are_the_jacobian(case, small_world) -> None:
 @pytest.mark.parametrize("term", ["points", "coverage", "object", "posture"])
 def test_gradient_is_that_of_the_cost(case, term: str) -> None:
     packed, search, X, q = case
-    problem = search.problem(search.even[:64], 0.01, 1.0 if term == "coverage" else 0.0)
+    problem = search.problem(search.even[:64], search.object_even_m[:64], 0.01, 1.0 if term == "coverage" else 0.0)
     if term not in ("points", "coverage"):
-        problem = problem._replace(points_O=problem.points_O[:1] + 10.0, width=1e-9)  # too far to matter
+        problem = problem._replace(
+            points_O=problem.points_O[:1] + 10.0, object_weight=np.zeros(1), width=1e-9
+        )  # too far to matter
     if term != "object":
         problem = problem._replace(touch_weight=0.0 * problem.touch_weight, depth_weight=0.0)
     if term == "object":
@@ -76,7 +78,7 @@ def test_gradient_is_that_of_the_cost(case, term: str) -> None:
 
 def test_cost_of_points_is_the_mean_squared_distance(case) -> None:
     packed, search, X, q = case
-    problem = search.problem(search.cloud, 1.0, 0.0)._replace(q_unit=0.0, depth_weight=0.0)
+    problem = search.problem(search.cloud, search.object_m, 1.0, 0.0)._replace(q_unit=0.0, depth_weight=0.0)
     X, q = off(packed, X, q, 0.02)
     expected = (hand_distances(packed, X[None], q[None], search.cloud)[0] ** 2).mean()
     assert fit_cost(packed, problem, X, q) == pytest.approx(expected, rel=1e-9)
@@ -87,7 +89,7 @@ def test_cost_of_points_is_the_mean_squared_distance(case) -> None:
 
 def test_a_clean_cloud_gives_the_pose_back(case) -> None:
     packed, search, X, q = case
-    problem = search.problem(search.cloud, 0.01, 0.0)._replace(q_unit=0.0, depth_weight=0.0)
+    problem = search.problem(search.cloud, search.object_m, 0.01, 0.0)._replace(q_unit=0.0, depth_weight=0.0)
     X_found, q_found = off(packed, X, q, 0.02)
     before = fit_cost(packed, problem, X_found, q_found)
     cost, _, stopped = fit_hand(packed, problem, X_found, q_found, 80)
@@ -105,7 +107,7 @@ def test_the_hand_is_kept_out_of_the_object_where_nothing_is_seen(case) -> None:
     deep = X.copy()
     hand = posed_points(packed, deep, q, search.prior.probe)
     deep[:3, 3] -= 0.7 * hand.mean(axis=0) + 0.3 * hand[np.linalg.norm(hand, axis=1).argmin()]  # around the ball
-    problem = search.problem(search.cloud[:1], 0.01, 0.0)
+    problem = search.problem(search.cloud[:1], search.object_m[:1], 0.01, 0.0)
 
     def depth(q: np.ndarray) -> float:
         return -float(query_grid_numpy(search.sdf, posed_points(packed, deep, q, search.prior.probe)).min())

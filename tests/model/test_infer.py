@@ -1,3 +1,4 @@
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -5,8 +6,18 @@ import pytest
 
 from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.errors import InputError, ShapeError
-from neuralgrasps.evaluate.observe import view_hand
-from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps, infer_hand, one_view_config
+from neuralgrasps.evaluate.inference_bench import Condition, observe
+from neuralgrasps.evaluate.observe import view_hand, with_outliers
+from neuralgrasps.model.infer import (
+    InferConfig,
+    encode_points,
+    gallery_grasps,
+    infer_grasps,
+    infer_hand,
+    one_view_config,
+)
+from neuralgrasps.model.infer_contacts import encode_contacts
+from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.reconstruct import hand_surface_distances
 
 
@@ -142,3 +153,110 @@ def test_bad_clouds_are_refused(small_run) -> None:
             [np.zeros((20, 3))], small_run.field, gallery_of(small_run), hand="fetch", object_name="ball",
             viewpoints_O=np.zeros((2, 3)),
         )  # fmt: skip
+
+
+def faulty_observation(small_run, small_world, small_dataset, how: Condition):
+    """(field, hand, object, clouds, true X_OH, q) of the gripper's and the hand's unseen grasps on the ball."""
+    for grasps in (small_world.grasp_sets[1], small_world.grasp_sets[3]):
+        test = small_dataset.split(grasps.hand, grasps.object).test
+        some = grasps[np.asarray(test)]
+        yield some, observe(small_run.field, some, np.asarray(test), how, 0)[0]
+
+
+@pytest.mark.parametrize("fault", [{"outliers": 0.05}, {"spill": 0.1}])
+def test_outliers_and_a_wide_mask_are_set_aside(small_run, small_world, small_dataset, fault) -> None:
+    how = Condition(one_view=True, noise_m=0.001, **fault)
+    for grasps, clouds in faulty_observation(small_run, small_world, small_dataset, how):
+        found = infer_grasps(
+            clouds, small_run.field, gallery_of(small_run), hand=grasps.hand, object_name="ball",
+            config=one_view_config(),
+        )  # fmt: skip
+        errors = hand_surface_distances(
+            small_run.field.packed[grasps.hand], found.X_OH, found.q, grasps.X_OH, grasps.q, seed=0
+        )
+        assert np.median(errors) < 0.0005
+        assert not any("rms" in reason or "not explained" in reason for r in found.reasons for reason in r)
+        assert (found.noise_m < 0.0015).all() and (found.outliers > 0.02).all() and (found.outliers < 0.12).all()
+
+
+def test_a_cloud_of_many_outliers_is_suspected(small_run, small_world) -> None:
+    cloud = clouds_of(small_run.field, small_world.grasp_sets[3], [0], count=1000, noise=0.001)[0]
+    cloud = with_outliers(cloud, 0.32, seed=0)
+    found = infer_grasps([cloud], small_run.field, gallery_of(small_run), hand="fetch", object_name="ball")
+    assert any("outliers" in reason or "not explained" in reason for reason in found.reasons[0])
+
+
+def test_a_hand_that_touches_nothing_is_suspected(small_run, small_world) -> None:
+    cloud = clouds_of(small_run.field, small_world.grasp_sets[1], [0], count=1000, noise=0.001)[0]
+    away = cloud + 0.3 * cloud.mean(axis=0) / np.linalg.norm(cloud.mean(axis=0))
+    found = infer_grasps(
+        [cloud, away], small_run.field, gallery_of(small_run), hand="allegro", object_name="ball",
+        config=InferConfig(rounds=2),
+    )  # fmt: skip
+    assert [any("touches nothing" in reason for reason in r) for r in found.reasons] == [False, True]
+
+
+def test_codes_use_the_contact_points_of_the_run(small_run, small_world) -> None:
+    """The same object with its points in another order gives the same codes."""
+    field, brick = small_run.field, small_world.objects["brick"]
+    other = KinematicField(
+        hands=field.hands, hand_codecs=field.hand_codecs, object_codecs=field.object_codecs,
+        objects={**field.objects, "brick": replace(brick, points_O=brick.points_O[::-1].copy())},
+    )  # fmt: skip
+    clouds = clouds_of(field, small_world.grasp_sets[0], range(2))
+    a, b = (encode_points(clouds, f, object_name="brick") for f in (field, other))
+    np.testing.assert_array_equal(a.values, b.values)
+    a, b = (
+        encode_contacts(clouds, f, gallery_of(small_run), hand="allegro", object_name="brick", refine=False).codes
+        for f in (field, other)
+    )
+    np.testing.assert_array_equal(a.values, b.values)
+
+
+def test_test_grasps_are_no_start_unless_asked_for(small_run) -> None:
+    book = small_run.codebook
+    fitted = partial(gallery_grasps, small_run.field, book, hand="fetch", object_name="ball")
+    every, tests = (book.where(hand="fetch", object_name="ball", is_test=t).sum() for t in (None, True))
+    assert tests > 0 and len(fitted()) == every - tests and len(fitted(include_test=True)) == every
+    with pytest.raises(InputError, match="include_test"):
+        gallery_grasps(small_run.field, book[book.is_test], hand="fetch", object_name="ball")
+    with pytest.raises(InputError, match="include_test"):
+        encode_contacts([np.zeros((1, 3))], small_run.field, book[book.is_test], hand="fetch", object_name="ball")
+
+
+def test_a_hand_whose_codes_are_lossy_is_fitted(small_run, small_world, small_dataset) -> None:
+    """Codes that keep 4 of 16 synergies start the search off the known grasps; the fit finds all joints."""
+    field, grasps = small_run.field, small_world.grasp_sets[1]
+    codec = field.hand_codecs["allegro"]
+    basis = codec.basis.copy()
+    basis[:, 4:] = 0.0
+    lossy = KinematicField(
+        hands={"allegro": field.hands["allegro"]}, objects=field.objects, object_codecs=field.object_codecs,
+        hand_codecs={"allegro": replace(codec, basis=basis)},
+    )  # fmt: skip
+    split = small_dataset.split("allegro", "ball")
+    X, q = grasps.X_OH[split.train], grasps.q[split.train]
+    gallery = lossy.encode(X, q, hand="allegro", object_name="ball")
+    start = gallery_grasps(lossy, gallery, hand="allegro", object_name="ball")
+    assert np.abs(start.q - q).mean() > 0.05
+    clouds = clouds_of(field, grasps, split.test, noise=0.001)
+    found = infer_grasps(clouds, lossy, gallery, hand="allegro", object_name="ball")
+    errors = hand_surface_distances(
+        field.packed["allegro"], found.X_OH, found.q, grasps.X_OH[split.test], grasps.q[split.test], seed=0
+    )
+    assert errors.mean() < 0.001
+
+
+def test_free_codes_and_no_clouds_are_refused(small_run) -> None:
+    free = replace(gallery_of(small_run), metric_size=128)
+    with pytest.raises(InputError, match="KinematicField"):
+        infer_grasps([np.zeros((20, 3))], small_run.field, free, hand="fetch", object_name="ball")
+    with pytest.raises(InputError, match="KinematicField"):
+        encode_contacts([np.zeros((2, 3))], small_run.field, free, hand="fetch", object_name="ball")
+    for call in (
+        lambda: infer_grasps([], small_run.field, gallery_of(small_run), hand="fetch", object_name="ball"),
+        lambda: encode_points([], small_run.field, object_name="ball"),
+        lambda: encode_contacts([], small_run.field, gallery_of(small_run), hand="fetch", object_name="ball"),
+    ):
+        with pytest.raises(InputError, match="at least one"):
+            call()

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from neuralgrasps.errors import InputError, ShapeError
-from neuralgrasps.model.infer_contacts import contact_closeness, encode_contacts, hand_contacts
+from neuralgrasps.model.infer import map_of_points
+from neuralgrasps.model.infer_contacts import encode_contacts, hand_contacts
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,7 @@ def test_known_contacts_find_their_grasp(small_run, touching) -> None:
     found = encode_contacts(points, small_run.field, book, hand="allegro", object_name="brick", refine=False)
     assert (found.rows[:, 0] == rows).mean() >= 0.7
     assert found.X_OH.shape == (len(rows), 5, 4, 4)
-    raw = np.stack([contact_closeness(small_run.field, "brick", p) for p in points])
+    raw = np.stack([map_of_points(small_run.field, "brick", p) for p in points])
     true = book.contact_maps[rows]
     assert np.abs(found.codes.contact_maps - true).mean() < 0.6 * np.abs(raw - true).mean()
     assert np.isnan(found.codes.values[:, 96:]).all() and not np.isnan(found.codes.contact_block).any()

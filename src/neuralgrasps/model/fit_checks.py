@@ -10,8 +10,9 @@ from neuralgrasps.hands.packed import hand_distance_many
 from neuralgrasps.model.fit_prior import posed_points
 from neuralgrasps.model.fit_search import EFFECTIVE_POINTS, CloudSearch, Fit, Search
 
-OUTLIER_SIGMAS = 4.0
-OUTLIER_SHARE = 0.04
+UNEXPLAINED_SHARE = 0.04
+OUTLIER_SHARE = 0.25
+TOUCH_M = 0.005
 DEPTH_M = 0.006
 AMBIGUOUS_M = 0.005  # two fits whose surfaces are this far apart in the mean are different grasps
 AMBIGUOUS_UNITS = 6.0  # twice the logarithm of how much likelier the better one must be
@@ -22,7 +23,7 @@ EMPTY_SHARE = 0.10
 def doubts(one: CloudSearch, found: Search) -> tuple[str, ...]:
     """Reasons to suspect the best fit of a search; none when it looks right."""
     best = found.fits[0]
-    reasons = [_residual(one, found), _outliers(best, found.noise_m), _depth(one, best), _empty(one, best)]
+    reasons = [_residual(one, found), *_outliers(one, found), _touch(one, best), _depth(one, best), _empty(one, best)]
     reasons.append(_ambiguity(one, found))
     if not best.stopped:
         reasons.append("the solver did not converge")
@@ -32,13 +33,27 @@ def doubts(one: CloudSearch, found: Search) -> tuple[str, ...]:
 def _residual(one: CloudSearch, found: Search) -> str:
     if found.excess <= one.config.good:
         return ""
-    rms = float(np.sqrt((found.fits[0].distance_m ** 2).mean()))
+    rms = float(np.sqrt((found.fits[0].distance_m[~found.aside] ** 2).mean()))
     return f"points are {1e3 * rms:.1f} mm (rms) from the hand; their noise is {1e3 * found.noise_m:.1f} mm"
 
 
-def _outliers(best: Fit, noise_m: float) -> str:
-    share = float((np.abs(best.distance_m) > OUTLIER_SIGMAS * noise_m + 0.001).mean())
-    return f"{100 * share:.0f} % of the points are not explained by the hand" if share > OUTLIER_SHARE else ""
+def _outliers(one: CloudSearch, found: Search) -> tuple[str, ...]:
+    """Too many points set aside; too many others that the hand does not explain."""
+    reasons = []
+    if found.outliers > OUTLIER_SHARE:
+        reasons.append(f"{100 * found.outliers:.0f} % of the points are outliers or the object's")
+    share = float((one.unexplained(found.fits[0].distance_m) & ~found.aside).mean())
+    if share > UNEXPLAINED_SHARE:
+        reasons.append(f"{100 * share:.0f} % of the points are not explained by the hand")
+    return tuple(reasons)
+
+
+def _touch(one: CloudSearch, best: Fit) -> str:
+    """A hand farther from the object than any known grasp is no grasp."""
+    least = float(query_grid_numpy(one.sdf, posed_points(one.packed, best.X_OH, best.q, one.prior.probe)).min())
+    if least <= max(TOUCH_M, one.prior.reach_m) + one.noise_m:
+        return ""
+    return f"the hand touches nothing: it is {1e3 * least:.0f} mm from the object"
 
 
 def _depth(one: CloudSearch, best: Fit) -> str:

@@ -31,6 +31,7 @@ class FitProblem(NamedTuple):
 
     Attributes:
         points_O: (M, 3) points that should lie on the hand's surface, object frame; width: Huber's, beyond it linear.
+        object_weight: (M,) 0, or the weight of a point that may as well be the object's; it says little far off.
         material: (K,) surface points of the hand that should have an observed point near; cover: (K,) their weights.
         seen_O: (S, 3) points that `material` looks for; cover_free: metres that are no gap yet; cover_width:
             Huber's for the rest.
@@ -45,6 +46,7 @@ class FitProblem(NamedTuple):
     """
 
     points_O: np.ndarray
+    object_weight: np.ndarray
     width: float
     material: np.ndarray
     cover: np.ndarray
@@ -81,6 +83,13 @@ def _cauchy(r, width):  # type: ignore[no-untyped-def]
     """(cost, weight) of a residual: about r^2 well below `width`, growing as its logarithm beyond."""
     u = r * r / (width * width)
     return width * width * math.log1p(u), 1.0 / (1.0 + u)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _geman(r, width):  # type: ignore[no-untyped-def]
+    """(cost, weight) of a residual: about r^2 well below `width`, never above width^2."""
+    f = 1.0 / (1.0 + r * r / (width * width))
+    return r * r * f, f * f
 
 
 @njit(cache=True, error_model="numpy")
@@ -165,7 +174,12 @@ def _point_rows(packed, problem, X_OH, X_PH, centre_H, hint, G, h):  # type: ign
         z = X_OH[0, 2] * dx + X_OH[1, 2] * dy + X_OH[2, 2] * dz
         r, part = nearest_of_parts(packed, X_PH, centre_H, hint[m], x, y, z)
         hint[m] = part
-        cost, w = _huber(r, problem.width)
+        share = problem.object_weight[m]
+        if share > 0.0:
+            cost, w = _geman(r, problem.width)
+            cost, w = share * cost, share * w
+        else:
+            cost, w = _huber(r, problem.width)
         total += cost
         gx, gy, gz = gradient_in_H(packed, X_PH, part, x, y, z)
         link = packed.part_link[part]

@@ -13,6 +13,7 @@ from neuralgrasps.hands.packed import PackedHand
 
 PROBES = 400
 MATERIAL = 96
+MAX_REACH_M = 0.03
 _JOINT_SD = 0.04  # of a joint's range, added to what the examples show
 _TOUCH_SD = 0.0005
 DEPTH_SD_M = 0.0005  # of surface points inside the object
@@ -29,6 +30,7 @@ class GraspPrior:
         probe: (R,) well spread surface points of the hand, sorted by link; material: (K,) fewer of them.
         touch_mean, touch_sd: (L,) least distance of each link's probes to the object, metres; sd is inf for links that
             touch only in some grasps.
+        reach_m: distance from the object of the example that is farthest from it, at most `MAX_REACH_M`.
     """
 
     q_mean: np.ndarray
@@ -37,6 +39,7 @@ class GraspPrior:
     material: np.ndarray
     touch_mean: np.ndarray
     touch_sd: np.ndarray
+    reach_m: float
 
 
 def grasp_prior(packed: PackedHand, sdf: SdfGrid, X_OH: np.ndarray, q: np.ndarray) -> GraspPrior:
@@ -59,6 +62,7 @@ def grasp_prior(packed: PackedHand, sdf: SdfGrid, X_OH: np.ndarray, q: np.ndarra
         material=material,
         touch_mean=mean,
         touch_sd=sd,
+        reach_m=min(float(least.min(axis=1).max()), MAX_REACH_M),
     )
 
 

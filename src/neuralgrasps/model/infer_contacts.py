@@ -11,11 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from neuralgrasps.dataset.hand_surface import packed_link_poses
-from neuralgrasps.dataset.samples import closeness
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 from neuralgrasps.grasps.contact import MAX_PER_LINK, THRESHOLD_M, find_contacts
@@ -24,7 +22,7 @@ from neuralgrasps.model.codes import CodeBook
 from neuralgrasps.model.fit_kernels import FitProblem
 from neuralgrasps.model.fit_prior import DEPTH_SD_M, GraspPrior, grasp_prior
 from neuralgrasps.model.fit_solver import fit_starts
-from neuralgrasps.model.infer import contact_codes
+from neuralgrasps.model.infer import check_kinematic, contact_codes, map_of_points
 from neuralgrasps.model.kinematic_field import KinematicField
 
 KERNEL_WIDTH = 0.3  # of mean |closeness| differences, over which corrections are alike
@@ -32,6 +30,7 @@ OTHER_HAND = 0.8  # how much a known grasp by another hand says, against one by 
 RIDGE = 0.2
 CONTACT_SD_M = 0.002  # contacts are said to lie on the hand to so much
 _ITERATIONS = 30
+_TESTS = " (test grasps count with include_test=True only)"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +61,7 @@ def encode_contacts(
     object_name: str,
     candidates: int = 5,
     refine: bool = True,
+    include_test: bool = False,
 ) -> ContactResult:
     """Codes and candidate grasps of a hand that should touch an object at given points.
 
@@ -70,17 +70,21 @@ def encode_contacts(
         gallery: known codes on this object, by any hands; some by `hand`.
         candidates: at most so many grasps of `hand` per set of points.
         refine: move the candidates so that their surface meets the points, out of the object, postures as usual.
+        include_test: learn from and choose among the gallery's test grasps too.
     Raises:
-        InputError: no grasp of that hand on that object in the gallery, or a set without points.
+        InputError: no grasp of that hand on that object in the gallery, one of another kind of field, no set of
+            points, or one without points.
         ShapeError: a set is not (C, 3).
     """
+    if not len(contact_points_O):
+        raise InputError("got no contact points; expected a sequence of at least one array (C, 3).")
     contacts = [_checked_contacts(c, i) for i, c in enumerate(contact_points_O)]
-    known = _known_grasps(field, gallery, object_name)
+    known = _known_grasps(field, gallery, object_name, include_test=include_test)
     own = np.flatnonzero(known.hand == hand)
     field.hand(hand)
     if not len(own):
-        raise InputError(f"the gallery holds no grasp of '{object_name}' by hand '{hand}'; add some to choose from.")
-    seen = np.stack([contact_closeness(field, object_name, c) for c in contacts])
+        raise InputError(f"the gallery holds no grasp of '{object_name}' by hand '{hand}'{_TESTS}; add some.")
+    seen = np.stack([map_of_points(field, object_name, c) for c in contacts])
     maps = _corrected(seen, known, np.full(len(seen), hand))
     codes = contact_codes(maps, field, object_name=object_name, hand=hand)
     rows = known.rows[own]
@@ -100,12 +104,6 @@ def encode_contacts(
     miss = [[_miss(packed, X, p, points) for X, p in zip(Xs, ps, strict=True)]
             for Xs, ps, points in zip(X_OH, q, contacts, strict=True)]  # fmt: skip
     return ContactResult(codes=codes, rows=rows[chosen], X_OH=X_OH, q=q, miss_m=np.array(miss))
-
-
-def contact_closeness(field: KinematicField, object_name: str, points_O: np.ndarray) -> np.ndarray:
-    """(P,) closeness of an object's contact points to some points (C, 3), as if these were all of the hand."""
-    codec = field.object_codecs[object_name]
-    return closeness(KDTree(points_O).query(field.object(object_name).points_O)[0], codec.radius_m)
 
 
 def hand_contacts(packed: PackedHand, sdf: SdfGrid, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -134,13 +132,14 @@ class _Known:
     q: dict[str, np.ndarray]
 
 
-def _known_grasps(field: KinematicField, gallery: CodeBook, object_name: str) -> _Known:
+def _known_grasps(field: KinematicField, gallery: CodeBook, object_name: str, *, include_test: bool) -> _Known:
+    check_kinematic(gallery)
     sdf = field.object(object_name).sdf
     if object_name not in gallery.objects:
         raise InputError(f"the gallery holds no grasp of '{object_name}'; add some to learn from.")
     rows, hands, of_contacts, X_all, q_all = [], [], [], {}, {}
     for hand in gallery.hands:
-        mine = np.flatnonzero(gallery.where(hand=hand, object_name=object_name))
+        mine = np.flatnonzero(gallery.where(hand=hand, object_name=object_name) & (include_test | ~gallery.is_test))
         if not len(mine) or hand not in field.hands:
             continue
         with torch.no_grad():
@@ -151,11 +150,11 @@ def _known_grasps(field: KinematicField, gallery: CodeBook, object_name: str) ->
         touching = np.array([len(p) > 0 for p in points])
         rows.append(mine[touching])
         hands += [hand] * int(touching.sum())
-        of_contacts += [contact_closeness(field, object_name, p) for p in points if len(p)]
+        of_contacts += [map_of_points(field, object_name, p) for p in points if len(p)]
         X_all[hand], q_all[hand] = X_OH[touching], q[touching]
     every = np.concatenate(rows) if rows else np.zeros(0, np.int64)
     if not len(every):
-        raise InputError(f"the gallery holds no grasp that touches '{object_name}'; add some to learn from.")
+        raise InputError(f"the gallery holds no grasp that touches '{object_name}'{_TESTS}; add some.")
     return _Known(
         rows=every, hand=np.array(hands), of_contacts=np.stack(of_contacts), of_hand=gallery.contact_maps[every],
         X_OH=X_all, q=q_all,
@@ -179,7 +178,8 @@ def _contact_problem(packed: PackedHand, sdf: SdfGrid, prior: GraspPrior, points
     unit = CONTACT_SD_M**2 / len(points_O)
     nothing = np.zeros(0, np.int64)
     return FitProblem(
-        points_O=points_O, width=0.01, material=nothing, cover=np.zeros(0), seen_O=points_O, cover_free=0.0,
+        points_O=points_O, object_weight=np.zeros(len(points_O)), width=0.01, material=nothing,
+        cover=np.zeros(0), seen_O=points_O, cover_free=0.0,
         cover_width=0.01, q_mean=prior.q_mean, q_precision=prior.q_precision, q_freedom=5.0, q_unit=unit,
         probe=prior.probe, touch_mean=prior.touch_mean, touch_weight=unit / prior.touch_sd**2, touch_width=0.0015,
         depth_weight=unit / DEPTH_SD_M**2, depth_width=0.003, depth_free=0.001, sdf_values=sdf.values,
