@@ -5,7 +5,14 @@ import pytest
 
 from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.errors import InputError
-from neuralgrasps.evaluate.observe import DISTANCE_M, observe_hand, observe_hand_one_view, view_hand
+from neuralgrasps.evaluate.observe import (
+    DISTANCE_M,
+    observe_hand,
+    observe_hand_one_view,
+    view_hand,
+    with_outliers,
+    with_pose_error,
+)
 from neuralgrasps.geometry.primitives import sphere_mesh
 from neuralgrasps.model.infer import infer_grasps, one_view_config
 from neuralgrasps.model.reconstruct import hand_surface_distances
@@ -82,3 +89,19 @@ def test_a_grasp_is_found_from_one_view(small_run, small_world, small_dataset) -
         small_run.field.packed["fetch"], found.X_OH, found.q, grasps.X_OH[test], grasps.q[test], seed=0
     )
     assert found.converged.all() and errors.mean() < 0.002
+
+
+def test_faults_are_as_asked_for(small_run, small_world) -> None:
+    """Outliers and object points in the share asked for; a pose error moves all points alike."""
+    hand, ball, packed = small_world.hands["allegro"], small_world.objects["ball"], small_run.field.packed["allegro"]
+    X_OH, q = small_world.grasp_sets[1].X_OH[0], small_world.grasp_sets[1].q[0]
+    seen = view_hand(hand, ball, X_OH, q, seed=2, noise_m=0.0, points=1000, spill=0.1).points_O
+    off = np.abs(hand_distances(packed, X_OH[None], q[None], seen))[0] > 2e-4
+    assert off.sum() == pytest.approx(100, abs=15)
+    assert np.abs(np.linalg.norm(seen[off], axis=1) - 0.04).max() < 1e-3  # on the ball
+    cloud = observe_hand(packed, X_OH, q, seed=0, points=1000)
+    assert (with_outliers(cloud, 0.05, seed=0) != cloud).any(axis=1).sum() == 50
+    moved, X = with_pose_error(cloud, 0.005, 0.05, centre_O=np.full(3, 0.01), seed=0)
+    np.testing.assert_allclose(moved, cloud @ X[:3, :3].T + X[:3, 3], atol=1e-12)
+    assert np.linalg.norm(X[:3, :3] @ np.full(3, 0.01) + X[:3, 3] - 0.01) == pytest.approx(0.005)
+    assert np.arccos(0.5 * (np.trace(X[:3, :3]) - 1.0)) == pytest.approx(0.05)
