@@ -112,3 +112,14 @@ def test_devices_that_are_not_there(result: MlpResult, tmp_path: Path, device: s
 def test_a_gpu_that_is_not_there(result: MlpResult, tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match="device 'cuda' cannot be used"):
         load_mlp_run(saved(result, tmp_path), device="cuda")
+
+
+def test_files_outside_the_run_are_not_read(result: MlpResult, tmp_path: Path) -> None:
+    (tmp_path / "other").write_bytes(b"x")
+    path = saved(result, tmp_path / "run") / "run.json"
+    (tmp_path / "run" / "grasps").mkdir(exist_ok=True)
+    record = json.loads(path.read_text())
+    record["sha256"]["grasps/../../other"] = hashlib.sha256(b"x").hexdigest()
+    path.write_text(json.dumps(record))
+    with pytest.raises(DataFormatError, match="outside the run"):
+        load_mlp_run(tmp_path / "run")

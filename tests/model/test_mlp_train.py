@@ -17,7 +17,7 @@ from neuralgrasps.model.losses import variable_margin_triplet
 from neuralgrasps.model.mlp_bench import made_up_scenes
 from neuralgrasps.model.mlp_checkpoint import config_of, replay_dump, save_dump
 from neuralgrasps.model.mlp_data import FAR, ObjectScenes, SceneSamples, object_scenes, scene_samples
-from neuralgrasps.model.mlp_field import MlpConfig
+from neuralgrasps.model.mlp_field import MlpConfig, MlpDecoder
 from neuralgrasps.model.mlp_loss import triplet_of_distances
 from neuralgrasps.model.mlp_parallel import Workers, workers_here
 from neuralgrasps.model.mlp_run import free_codebook, load_mlp_run, run_kind, save_mlp_run
@@ -144,6 +144,16 @@ def test_training_lowers_the_loss_and_repeats(scenes: ObjectScenes) -> None:
     assert np.array_equal(a.losses, b.losses) and np.array_equal(a.codes, b.codes)
     assert a.losses[-10:, 1].mean() < 0.6 * a.losses[:10, 1].mean()
     assert a.finished and a.samples == 120 * 6 * 64
+
+
+def test_large_batches_are_thinned_for_the_figures_of_batch_norm(scenes: ObjectScenes, monkeypatch) -> None:
+    trainer = MlpTrainer(scenes, replace(SMALL, points_per_scene=4_096, step_points=4_096), HERE)
+    trainer.one_step()
+    seen = []
+    forward = MlpDecoder.forward
+    monkeypatch.setattr(MlpDecoder, "forward", lambda self, p, z: seen.append(tuple(p.shape)) or forward(self, p, z))
+    trainer.result()
+    assert set(seen) == {(6, 1_024, 3)}
 
 
 def test_codes_permute_with_scenes(scenes: ObjectScenes) -> None:

@@ -14,6 +14,8 @@
 | precision | float32 | bf16 products |
 | unseen codes | 8,000 points a step, mean z^2 | `mlp_infer.PUBLISHED`: the same; 512 on processors |
 
+A step of `paper` takes 8 GB and half a minute on one thread of a processor: it is meant for GPUs.
+
 `paper-fast` is a schedule of our own with less than a tenth of the samples: all scenes in every step, one-cycle rates,
 no dropout, wider start codes, points drawn far from both shapes too.
 """

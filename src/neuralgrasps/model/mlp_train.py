@@ -25,7 +25,7 @@ from neuralgrasps.seeds import child_seed
 Progress = Callable[[int, int, float], None]
 """Called as progress(steps done, all steps, latest loss)."""
 
-RECALIBRATION_BATCHES = 40
+RECALIBRATION_BATCHES, RECALIBRATION_POINTS = 40, 1_024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,5 +257,6 @@ class MlpTrainer:
             with torch.no_grad():
                 for k in range(RECALIBRATION_BATCHES):
                     batch = self.batch(self.steps + k)
-                    decoder(batch.rows[..., :3], self.model.codes[batch.scenes])
+                    every = max(1, self.config.step_points // RECALIBRATION_POINTS)  # some of each kind of point
+                    decoder(batch.rows[:, ::every, :3], self.model.codes[batch.scenes])
         return decoder.eval().requires_grad_(False)
