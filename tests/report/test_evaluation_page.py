@@ -10,15 +10,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import neuralgrasps
 from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.evaluate.run_evaluate import evaluate_run
 from neuralgrasps.evaluate.run_pairs import MeasureConfig
 from neuralgrasps.evaluate.run_scores import KNOWN
+from neuralgrasps.model.reconstruct import surface_errors
 from neuralgrasps.model.train import TrainResult
 from neuralgrasps.report.charts import legend_html, scatter_svg
 from neuralgrasps.report.content import DemoReport, LatentMap
-from neuralgrasps.report.evaluation_page import write_evaluation
-from neuralgrasps.report.evaluation_tables import chamfer_table, summary_table, surface_matrix, surface_table
+from neuralgrasps.report.evaluation_page import counted, key_figures, write_evaluation
+from neuralgrasps.report.evaluation_tables import (
+    beside_paper,
+    chamfer_table,
+    small,
+    summary_table,
+    surface_matrix,
+    surface_table,
+)
 from neuralgrasps.report.latent_section import letter_of
 from neuralgrasps.report.page import report_html
 
@@ -49,6 +58,7 @@ def test_page_holds_tables_examples_and_maps(page: ET.Element) -> None:
     text = words_of(page)
     for shown in ("KinematicField", "protocol, not of data", "nothing is inferred", "F at 1 mm", "Near Z", "2,000 per"):
         assert shown in text
+    assert "2 hands, 2 objects, 48 grasps" in text and counted(1, "object") == "1 object"
     assert len(with_class(page, "query")) == len(with_class(page, "far")) == 2  # one example per object
 
 
@@ -106,9 +116,48 @@ def test_tables_say_how_columns_stand_to_the_paper() -> None:
 
     table = chamfer_table(three_columns(0.0021), "test", KNOWN)
     assert table.rows == (("cracker box", "1.00 ×2.000 (1.33)", "2.10 ×1.050 (1.44)", "6.00 ×6.000 (5.52)"),)
-    assert "paper's figure: 1 columns. Above it: 1. Above it where a perfect field is too: 1." in table.meaning
+    said = (
+        "Of the paper's Chamfer figures, 3 can be compared: ours is at or below it in 1; above it in 1; above it in 1"
+    )
+    assert f"{said} where a perfect field is above it too." in table.meaning
+    named = beside_paper(three_columns(0.0021), "test", KNOWN, names=True)
+    assert "above it in 1 (003_cracker_box: barrett)" in named and "1 (003_cracker_box: fetch) where" in named
     assert "KinematicField" in table.title and KNOWN in table.title
     assert summary_table(three_columns(0.002)).rows[0][0] == "Unseen grasps, known"
+
+
+def test_rounding_reads_as_such_and_headers_are_narrow() -> None:
+    from tests.evaluate.test_run_evaluate import three_columns  # noqa: PLC0415
+
+    assert [small(v) for v in (None, 0.0, 1.64e-6, 0.02)] == [None, 0.0, "< 0.001", 0.02]
+    table = summary_table(three_columns(0.002))
+    assert "re-ranked: after the first 20 by code were put in order by contact map" in table.meaning
+    # At 1400 px the page is 1,150 px wide: headers may wrap at spaces, cells may not, and each column has 30 px of air.
+    widths = [
+        max(*(len(word) for word in head.split()), len(str(cell)))
+        for head, cell in zip(table.columns, table.rows[0], strict=True)
+    ]
+    assert 8 * sum(widths) + 30 * len(widths) < 1150
+    css = (Path(neuralgrasps.__file__).parent / "assets" / "report" / "page.css").read_text()
+    assert re.search(r"^th {[^}]*white-space: normal", css, re.MULTILINE)
+
+
+def test_headline_figures_lead_with_what_was_inferred() -> None:
+    from neuralgrasps.evaluate.run_scores import ALL_OVER, ONE_VIEW  # noqa: PLC0415
+    from tests.evaluate.test_run_evaluate import three_columns  # noqa: PLC0415
+
+    known = three_columns(0.002)
+    scores = replace(
+        known,
+        hands=tuple(replace(r, input=given) for given in (KNOWN, ALL_OVER, ONE_VIEW) for r in known.hands),
+        similarities=tuple(replace(known.similarities[0], input=given) for given in (KNOWN, ALL_OVER, ONE_VIEW)),
+        pooled={("test", g): surface_errors(np.array([1e-3, 2e-3, 6e-3])) for g in (KNOWN, ALL_OVER, ONE_VIEW)},
+    )
+    cards = key_figures(scores)
+    assert [c.note.rsplit("grasps, ")[-1] for c in cards] == [
+        *[ONE_VIEW] * 2, *[ALL_OVER] * 2, *["known: by construction, nothing is inferred"] * 2,
+    ]  # fmt: skip
+    assert cards[0].value == "2.00 mm" and cards[0].note.startswith("mean 3.00 mm, p95 5.60 mm; unseen grasps")
 
 
 def test_rounding_errors_of_known_grasps_make_no_table() -> None:

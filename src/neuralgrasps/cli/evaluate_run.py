@@ -128,6 +128,7 @@ def grasps_of(run: Run, folder: Path) -> Mapping[tuple[str, str], GraspSet]:
 def show(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:
     """Tables of one part and kind of input."""
     from neuralgrasps.evaluate.run_scores import INPUTS
+    from neuralgrasps.report.evaluation_tables import beside_paper
 
     whose = "Unseen grasps" if part == "test" else "Training grasps"
     terminal.say()
@@ -135,13 +136,8 @@ def show(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:
     _show_chamfer(terminal, scores, part, given)
     _show_surfaces(terminal, scores, part, given)
     _show_similarities(terminal, scores, part, given)
-    sides = scores.against_paper(part, given)
-    if any(sides.values()):
-        terminal.say(
-            f"Chamfer at or below the paper's: {len(sides['at_or_below'])}; above: {len(sides['above'])}"
-            f"{_listed(sides['above'])}; above where a perfect field is too: {len(sides['above_as_a_perfect_field'])}"
-            f"{_listed(sides['above_as_a_perfect_field'])}."
-        )
+    if sentence := beside_paper(scores, part, given, names=True):
+        terminal.say(sentence)
     if note := scores.chamfer_note(part, given):
         terminal.say(note)
 
@@ -163,6 +159,8 @@ def _show_chamfer(terminal: Terminal, scores: RunScores, part: str, given: str) 
 
 
 def _show_surfaces(terminal: Terminal, scores: RunScores, part: str, given: str) -> None:
+    from neuralgrasps.report.evaluation_tables import small
+
     rows = [r for r in scores.hands if (r.part, r.input) == (part, given)]
     columns = ("hand", "n", "mean mm", "median mm", "p95 mm", "F 1 mm", "F 2 mm", "contact error", "wrong", "infer ms")
     body: list[list[Cell]] = []
@@ -171,8 +169,8 @@ def _show_surfaces(terminal: Terminal, scores: RunScores, part: str, given: str)
         mean = lambda name: sum(getattr(r, name) for r in own) / len(own)  # noqa: B023, E731
         body.append(
             [
-                hand, sum(r.grasps for r in own), *(mean(f"surface_{k}_mm") for k in ("mean", "median", "p95")),
-                f"{mean('f_1mm'):.3f}", f"{mean('f_2mm'):.3f}", mean("contact_error_mean"),
+                hand, sum(r.grasps for r in own), *(small(mean(f"surface_{k}_mm")) for k in ("mean", "median", "p95")),
+                f"{mean('f_1mm'):.3f}", f"{mean('f_2mm'):.3f}", small(mean("contact_error_mean")),
                 sum(r.wrong for r in own), None if own[0].infer_ms is None else f"{mean('infer_ms'):.0f}",
             ]
         )  # fmt: skip
@@ -193,13 +191,12 @@ def _show_similarities(terminal: Terminal, scores: RunScores, part: str, given: 
         for r in rows
     ]  # fmt: skip
     columns = ("object", "n", "Near Z", "Near GT", "Far Z", "Far GT", "gap", "re-ranked", "R@1", "R@5", "R@10")
-    terminal.say("Contact similarity of what the codes find (paper); recall of the nearest grasp by contact map:")
+    terminal.say(
+        "Contact similarity of what the codes find (paper); gap to the best there is; re-ranked: the gap after the "
+        "first 20 by code were put in order by contact map; recall of the nearest grasp by contact map:"
+    )
     terminal.table(columns, body)
 
 
 def _beside(value: float, paper: float | None) -> str:
     return f"{value:.2f}" if paper is None else f"{value:.2f} ({paper:.2f})"
-
-
-def _listed(names: tuple[str, ...]) -> str:
-    return f" ({', '.join(names)})" if names else ""

@@ -109,7 +109,10 @@ def open_terminal(command: str, *, json_to_stdout: bool, stdout: IO[str], stderr
 
 
 def _is_number(value: Cell) -> bool:
-    return not isinstance(value, str) or value.removesuffix(" %").replace(".", "", 1).lstrip("-").isdigit()
+    return (
+        not isinstance(value, str)
+        or value.removesuffix(" %").removeprefix("< ").replace(".", "", 1).lstrip("-").isdigit()
+    )
 
 
 def cell_text(value: Cell) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import neuralgrasps
 from neuralgrasps.evaluate.embedding import Embedding, embed_book
 from neuralgrasps.evaluate.run_examples import Example, retrieval_examples
-from neuralgrasps.evaluate.run_scores import KNOWN, RunScores
+from neuralgrasps.evaluate.run_scores import ALL_OVER, INPUTS, KNOWN, ONE_VIEW, RunScores
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.model.codes import CodeBook
@@ -27,15 +27,17 @@ from neuralgrasps.report.sections import pretty_name
 
 THUMB, PICTURE = (240, 180), (360, 270)
 
+_KINDS = {"test": "unseen ones", "train": "training ones"}
+_FIRST = (ONE_VIEW, ALL_OVER, *(given for given in INPUTS if given not in (ONE_VIEW, ALL_OVER, KNOWN)), KNOWN)
+
 Progress = Callable[[int, int, str], None]
 Key = tuple[int, tuple[int, int]]  # row of the code book, size
 
 _TEXTS = {
     "numbers": "Every table says which field its figures belong to, and what was given.",
     "retrieval": "The framed grasp is unseen and its pose is known. Beside it, the training grasp of each hand whose "
-    "code "
-    "is nearest, and last the farthest of all. Similarity is that of the contact maps: 1 is the same, 0 the least "
-    "alike.",
+    "code is nearest, and last the farthest of all. Similarity is that of the contact maps, as in the tables: 1 is the "
+    "same, 0 the least alike of all pairs of an unseen and a training grasp on the object.",
 }
 
 
@@ -64,17 +66,17 @@ def write_evaluation(
     wanted |= {(int(m.rows[i]), THUMB): None for m in maps for i in m.pictured}
     pictures = _draw(list(wanted), field, book, grasps, workers=workers, progress=progress)
     thumbs = {row: image for (row, size), image in pictures.items() if size == THUMB}
-    kinds = ", ".join(dict.fromkeys(part for part, _ in scores.parts_and_inputs))
+    kinds = " and ".join(dict.fromkeys(_KINDS[part] for part, _ in scores.parts_and_inputs))
     report = DemoReport(
         title="How well the latent space holds grasps",
         command=command,
-        subtitle=f"{scores.field}: {len(book.hands)} hands, {len(book.objects)} objects, {len(book)} grasps ({kinds} "
-        f"measured)",
-        machine=f"{platform.system()} {platform.machine()}, {available_cpus()} processors",
+        subtitle=f"{scores.field}: {counted(len(book.hands), 'hand')}, {counted(len(book.objects), 'object')}, "
+        f"{counted(len(book), 'grasp')} ({kinds} measured)",
+        machine=f"{platform.system()} {platform.machine()}, {counted(available_cpus(), 'processor')}",
         seed=seed,
         version=neuralgrasps.__version__,
         created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        key_figures=_key_figures(scores),
+        key_figures=key_figures(scores),
         retrieval=tuple(_retrieval_row(e, book, pictures) for e in examples),
         latent_maps=tuple(latent_map(m, book, thumbs) for m in maps),
         histograms=_histograms(scores),
@@ -85,22 +87,24 @@ def write_evaluation(
     return write_report(report, path)
 
 
-def _key_figures(scores: RunScores) -> tuple[KeyFigure, ...]:
-    figures = []
-    for part, given in scores.parts_and_inputs:
-        if part != "test":
-            continue
-        s = scores.summary(part, given)
-        note = "unseen grasps, " + given
+def key_figures(scores: RunScores) -> tuple[KeyFigure, ...]:
+    """What was inferred first, from least to most that was given; what holds by construction last, and named so."""
+    figures: list[KeyFigure] = []
+    inputs = [given for part, given in scores.parts_and_inputs if part == "test"]
+    for given in sorted(inputs, key=_FIRST.index):
+        s = scores.summary("test", given)
+        note = f"unseen grasps, {given}"
+        gap = f"{s['gap']:.4f}"
         if given == KNOWN:
-            figures.append(KeyFigure(value=f"{s['gap']:.4f}", label="retrieval gap", note=note))
-            figures.append(
-                KeyFigure(value=f"×{s['chamfer_over_oracle']:.3f}", label="Chamfer over a perfect field's", note=note)
-            )
+            note += ": by construction, nothing is inferred"
+            if "chamfer_over_oracle" in s:
+                text = f"×{s['chamfer_over_oracle']:.3f}"
+                figures.append(KeyFigure(value=text, label="Chamfer over a perfect field's", note=note))
         elif "surface_median_mm" in s:
-            text = f"{s['surface_median_mm']:.2f} mm"
-            figures.append(KeyFigure(value=text, label="median hand surface error", note=note))
-            figures.append(KeyFigure(value=f"{s['gap']:.4f}", label="retrieval gap", note=note))
+            median, mean, p95 = (f"{s[f'surface_{k}_mm']:.2f} mm" for k in ("median", "mean", "p95"))
+            spread = f"mean {mean}, p95 {p95}; {note}"
+            figures.append(KeyFigure(value=median, label="median hand surface error", note=spread))
+        figures.append(KeyFigure(value=gap, label="retrieval gap", note=note))
     return tuple(figures)
 
 
@@ -176,6 +180,11 @@ def _draw_group(
     hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, sizes: Sequence[tuple[int, int]]
 ) -> list[np.ndarray]:
     return [render_grasp(hand, obj, X, joints, size=size) for X, joints, size in zip(X_OH, q, sizes, strict=True)]
+
+
+def counted(count: int, noun: str) -> str:
+    """ "1 hand", "3 hands"."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _hand(book: CodeBook, row: int) -> str:

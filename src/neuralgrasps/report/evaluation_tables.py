@@ -11,6 +11,7 @@ from neuralgrasps.report.sections import pretty_name
 _WHOSE = {"test": "Unseen grasps", "train": "Training grasps"}
 _PERFECT = "a perfect field"
 _SURFACES = ("mean", "median", "p95")
+LEAST = 5e-4  # below it, lengths in mm and errors of contact maps are rounding
 
 
 def tables_of(scores: RunScores) -> tuple[Table, ...]:
@@ -35,17 +36,20 @@ def summary_table(scores: RunScores) -> Table:
         numbers = [s.get(name) for name in names]
         wrong = None if "wrong_basins" not in s else f"{100 * s['wrong_basins']:.1f} %"
         gaps = (f"{s['gap']:.4f}", f"{s['gap_reranked']:.4f}", f"{s['recall_at_1']:.2f}")
-        rows.append((f"{_WHOSE[part]}, {given}", *map(_plain, numbers), wrong, *gaps))
+        rows.append((f"{_WHOSE[part]}, {given}", *map(small, numbers), wrong, *gaps))
     inputs = dict.fromkeys(given for _, given in scores.parts_and_inputs)
     return Table(
         title=f"All objects and hands together ({scores.field})",
         columns=(
-            "input", "surface mean, mm", "median", "p95", "F at 1 mm", "at 2 mm", f"Chamfer over {_PERFECT}'s",
-            "wrong by 10 mm", "gap", "gap re-ranked", "recall at 1",
+            "input", "surface mean, mm", "median", "p95", "F at 1 mm", "at 2 mm", "Chamfer / perfect", "wrong by 10 mm",
+            "gap", "re-ranked", "recall at 1",
         ),
         rows=tuple(rows),
-        meaning="Surface: distances between decoded and true hand, both ways, over all surface points. Gap: contact "
-        "similarity of the best grasp there is, less that of the one found by code. Kinds of input are never mixed: "
+        meaning="Surface: distances between decoded and true hand, both ways, over all surface points. Chamfer / "
+        f"perfect: the published measure over what {_PERFECT} scores. Wrong: share of grasps with a mean surface error "
+        "above 10 mm. Gap: contact similarity of the best grasp there is, less that of the one found by code; "
+        "re-ranked: after the first 20 by code were put in order by contact map. Recall at 1: share of queries whose "
+        "code finds the best. Kinds of input are never mixed: "
         + " ".join(f"{given.capitalize()}: {INPUTS[given]}." for given in inputs),
         how=" ".join(f"{name.capitalize()}: {text}." for name, text in scores.conditions.items()),
     )  # fmt: skip
@@ -60,23 +64,46 @@ def chamfer_table(scores: RunScores, part: str, given: str) -> Table:
         cells: list[HandRow | ObjectRow | None] = [shape]
         cells += [next((r for r in own if (r.object, r.hand) == (shape.object, hand)), None) for hand in hands]
         body.append((pretty_name(shape.object), *map(_chamfer_text, cells)))
-    sides = scores.against_paper(part, given)
-    counts = (
-        f"At or below the paper's figure: {len(sides['at_or_below'])} columns. Above it: {len(sides['above'])}. "
-        f"Above it "
-        f"where {_PERFECT} is too: {len(sides['above_as_a_perfect_field'])}."
-    )
     return Table(
         title=f"Published Chamfer × 10⁻³: {_WHOSE[part].lower()}, {given} ({scores.field})",
         columns=("object", "object itself", *hands),
         rows=tuple(body),
         meaning=f"Each cell: ours, its ratio to what {_PERFECT} scores on the same queries, and the paper's figure in "
         f"brackets. The measure compares a filled shape with a surface, so even {_PERFECT} scores well above zero, and "
-        f"a hollow shape below that: its score is no bound. {counts if any(sides.values()) else ''} "
+        f"a hollow shape below that: its score is no bound. {beside_paper(scores, part, given)} "
         f"{scores.chamfer_note(part, given)}".rstrip(),
         how="The paper's figures are for its own hands, grasps and samples of the objects: the comparison is one of "
         "protocol, not of data. Means over the grasps of a hand and object.",
     )
+
+
+def beside_paper(scores: RunScores, part: str, given: str, *, names: bool = False) -> str:
+    """How many Chamfer scores are at or below the paper's, in a sentence; empty where it has none of them.
+
+    Args:
+        names: say which are above.
+    """
+    sides = scores.against_paper(part, given)
+    met, above, both = sides["at_or_below"], sides["above"], sides["above_as_a_perfect_field"]
+    if not (met or above or both):
+        return ""
+    words = [f"at or below it in {len(met)}"]
+    if above:
+        words.append(f"above it in {len(above)}" + (f" ({_grouped(above)})" if names else ""))
+    if both:
+        listed = f" ({_grouped(both)})" if names else ""
+        words.append(f"above it in {len(both)}{listed} where {_PERFECT} is above it too")
+    count = len(met) + len(above) + len(both)
+    return f"Of the paper's Chamfer figures, {count} can be compared: ours is {'; '.join(words)}."
+
+
+def _grouped(columns: Sequence[str]) -> str:
+    """Columns "object: hand" with each object named once."""
+    hands: dict[str, list[str]] = {}
+    for column in columns:
+        name, _, hand = column.partition(": ")
+        hands.setdefault(name, []).append(hand)
+    return "; ".join(f"{name}: {', '.join(own)}" for name, own in hands.items())
 
 
 def _chamfer_text(row: HandRow | ObjectRow | None) -> str | None:
@@ -95,9 +122,9 @@ def surface_table(scores: RunScores, part: str, given: str) -> Table:
         infer = [r.infer_ms for r in own if r.infer_ms is not None]
         body.append(
             (
-                hand, sum(r.grasps for r in own), *(f"{_mean(own, f'surface_{k}_mm'):.3f}" for k in _SURFACES),
+                hand, sum(r.grasps for r in own), *(_fixed(_mean(own, f"surface_{k}_mm"), 3) for k in _SURFACES),
                 *(f"{_mean(own, k):.3f}" for k in ("f_1mm", "f_2mm")),
-                *(f"{_mean(own, f'contact_error_{k}'):.4f}" for k in ("mean", "p95")),
+                *(_fixed(_mean(own, f"contact_error_{k}"), 4) for k in ("mean", "p95")),
                 f"{sum(r.wrong for r in own)}", sum(infer) / len(infer) if infer else None,
             )
         )  # fmt: skip
@@ -142,15 +169,15 @@ def similarity_table(scores: RunScores, part: str, given: str) -> Table:
     return Table(
         title=f"Retrieval: {_WHOSE[part].lower()}, {given} ({scores.field})",
         columns=(
-            "object", "queries", "Near Z", "Near GT", "Far Z", "Far GT", "gap", "gap re-ranked", "recall at 1", "at 5",
+            "object", "queries", "Near Z", "Near GT", "Far Z", "Far GT", "gap", "re-ranked", "recall at 1", "at 5",
             "at 10",
         ),
         rows=tuple(_similarity_cells(r) for r in rows),
         meaning="Contact similarity of the nearest and farthest training grasp, found by code (Z) and by the contact "
         "maps "
         "themselves (GT: the best and worst there are); the paper's figures in brackets. Recall at k: the nearest "
-        "grasp by "
-        "contact map is among the k nearest by code. Re-ranked: the first 20 by code put in order by contact map.",
+        "grasp by contact map is among the k nearest by code. Re-ranked: the gap after the first 20 by code were put "
+        "in order by contact map.",
         how="L1 between contact maps over the largest of the object's; similarity is one minus that.",
     )  # fmt: skip
 
@@ -176,6 +203,11 @@ def times_table(scores: RunScores) -> Table:
     )
 
 
-def _plain(value: float | None) -> float | str | None:
-    """A length in mm; what is exact but for rounding shows as 0."""
-    return value if value is None or value >= 5e-4 else "0.000"
+def small(value: float | None) -> float | str | None:
+    """A length in mm or an error of contact maps; what is exact but for rounding reads "< 0.001"."""
+    return value if value is None or value == 0 or value >= LEAST else "< 0.001"
+
+
+def _fixed(value: float, digits: int) -> str:
+    kept = small(value)
+    return kept if isinstance(kept, str) else f"{value:.{digits}f}"

@@ -184,7 +184,7 @@ def _cell(value: Cell) -> str:
 def _is_numeric(values: Sequence[Cell]) -> bool:
     """Whether a column holds numbers, or text made of digits such as '96 %'."""
     shown = [v for v in values if v is not None and v != ""]
-    return bool(shown) and all(not isinstance(v, str) or v[:1].isdigit() or v[:1] in "-–" for v in shown)
+    return bool(shown) and all(not isinstance(v, str) or v[:1].isdigit() or v[:1] in "-–<" for v in shown)
 
 
 def _num(numeric: bool) -> str:
