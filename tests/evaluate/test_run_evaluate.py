@@ -19,7 +19,7 @@ from neuralgrasps.evaluate.published import (
     published_similarities,
 )
 from neuralgrasps.evaluate.reconstruction import ShapeScores
-from neuralgrasps.evaluate.retrieval import score_retrieval
+from neuralgrasps.evaluate.retrieval import score_codebook, score_retrieval
 from neuralgrasps.evaluate.run_evaluate import evaluate_run
 from neuralgrasps.evaluate.run_examples import retrieval_examples
 from neuralgrasps.evaluate.run_pairs import MeasureConfig
@@ -200,6 +200,15 @@ def test_examples_show_unseen_queries_and_the_best_of_each_hand(small_run: Train
         assert [book.hands[book.hand_index[i]] for i in e.nearest] == ["allegro", "fetch"]
         assert book.hands[book.hand_index[e.query]] == "fetch" and e.similarity[e.query] == 1.0
         assert e.similarity[e.farthest] <= min(e.similarity[i] for i in e.nearest)
+    # Normalised as the table is: the mean similarity of the nearest grasps of all unseen ones is its "Near Z".
+    for name in book.objects:
+        shown = []
+        asked = np.flatnonzero(book.where(object_name=name, is_test=True))
+        for query in asked:  # the first of each order is the example
+            order = np.array([query, *asked[asked != query], *np.flatnonzero(~book.is_test)])
+            (one,) = (e for e in retrieval_examples(book[order], prefer="none") if e.object == name)
+            shown.append(one.similarity[one.farthest])
+        assert np.mean(shown) == pytest.approx(score_codebook(book, object_name=name).far_z, abs=1e-6)
 
 
 def test_wrong_questions(small_run: TrainResult, grasps: Grasps) -> None:

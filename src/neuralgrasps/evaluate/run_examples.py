@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from neuralgrasps.apply.retrieve import retrieve
 from neuralgrasps.model.codes import CodeBook
@@ -13,10 +14,12 @@ from neuralgrasps.model.codes import CodeBook
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Example:
-    """Rows of the code book; `similarity`: of each grasp's contact map to the query's, 1 = same, 0 = the farthest.
+    """Rows of the code book, and how alike the contact maps of their grasps are to the query's.
 
     Attributes:
         query: an unseen grasp. nearest: the nearest training grasp of each hand by code. farthest: of all hands.
+        similarity: of each row, 1 = same, 0 = the most different pair of an unseen and a training grasp on the object:
+            as in `score_retrieval`.
     """
 
     object: str
@@ -52,8 +55,8 @@ def retrieval_examples(book: CodeBook, *, prefer: str = "human", rerank: int = 0
         first = partial(retrieve, one, gallery, object_name=name, count=1, rerank=rerank)
         near = [int(gallery_rows[first(hand=hand).index[0, 0]]) for hand in hands]
         far = int(gallery_rows[first(farthest=True).index[0, 0]])
-        distance = np.abs(book.contact_maps[here].astype(np.float64) - one.contact_maps).sum(axis=1)
-        similarity = 1.0 - distance / max(float(distance.max()), 1e-12)
+        distance = cdist(book.contact_maps[asked], book.contact_maps[here], "cityblock")
+        similarity = 1.0 - distance[int(np.flatnonzero(asked == query)[0])] / max(float(distance.max()), 1e-12)
         known = dict(zip(here.tolist(), similarity.tolist(), strict=True)) | {query: 1.0}
         examples.append(
             Example(
