@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from neuralgrasps.cli.dataset import read_grasp_files
 from neuralgrasps.cli.models import (
@@ -34,7 +36,7 @@ def evaluate(
     *,
     part: Literal["test", "train", "both"] = "test",
     queries: int = 100_000,
-    observed: bool = True,
+    observed: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: they are found)")] = True,
     report: OptionalFile = None,
     seed: int = 0,
     workers: Workers = None,
@@ -52,7 +54,7 @@ def evaluate(
         path: folder of a run or dataset, name of a shipped run, or a grasp file or folder of them.
         part: of a run: unseen grasps, training grasps, or both.
         queries: of a run: points asked per grasp by the published Chamfer measure.
-        observed: of a run: also find the unseen grasps again from observed points.
+        observed: of a run: leave out finding the unseen grasps again from observed points, which takes longest.
         report: of a run: also write a page with tables, pictures and t-SNE.
         seed: of a run: of queries, surface points and observations.
         workers: of a run: processes.
@@ -70,7 +72,12 @@ def evaluate(
     if (path / "manifest.json").is_file():
         return _evaluate_dataset(terminal, path, hands)
     if not path.exists():
-        raise InputError(f"'{path}' does not exist; expected a run, a dataset or a grasp file.")
+        from neuralgrasps.model.run_notes import hint_of_runs
+
+        raise InputError(
+            f"'{path}' does not exist; expected the folder of a run or dataset, a grasp file, or "
+            f"{hint_of_runs(str(path))}"
+        )
     return _evaluate_grasps(terminal, path, hands, objects)
 
 

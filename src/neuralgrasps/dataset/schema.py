@@ -20,6 +20,7 @@ READABLE_VERSIONS = (1, 2)  # 1 had no clouds and held nothing out
 CloudKind = Literal["none", "exact", "rendered"]
 CLOUD_KINDS: tuple[str, ...] = get_args(CloudKind)
 MANIFEST_NAME = "manifest.json"
+_RUN_FILE = "run.json"  # of a trained run; given in place of a dataset by mistake
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -166,6 +167,11 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / MANIFEST_NAME
     if not path.is_file():
+        if (folder / _RUN_FILE).is_file():
+            raise DataFormatError(
+                f"'{folder}' is a run, not a dataset: `evaluate`, `retrieve` and `novel` take it. "
+                "Give the folder that `dataset build` wrote."
+            )
         raise DataFormatError(
             f"'{folder}' is not a grasp dataset: {MANIFEST_NAME} is missing. "
             "Build it first (or let an interrupted build finish: a rerun continues it)."

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import json
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -11,6 +13,7 @@ from typing import Any
 
 import msgspec
 
+from neuralgrasps.dataset.schema import MANIFEST_NAME
 from neuralgrasps.errors import DataFormatError, InputError
 
 VERSION = 2
@@ -81,10 +84,14 @@ def run_folder(name_or_path: str | Path) -> Path:
         return path
     if str(name_or_path) in shipped_runs():
         return Path(str(resources.files("neuralgrasps") / "assets" / "runs" / str(name_or_path)))
-    raise InputError(
-        f"'{name_or_path}' is neither a folder that `train` wrote nor a run of this library: "
-        f"{', '.join(shipped_runs())}."
-    )
+    raise InputError(f"'{name_or_path}' is neither a folder that `train` wrote nor {hint_of_runs(str(name_or_path))}")
+
+
+def hint_of_runs(name: str) -> str:
+    """The end of a message about a run that is not there: the runs of this library, and which of them may be meant."""
+    near = difflib.get_close_matches(name, shipped_runs(), n=1)
+    meant = f" Did you mean '{near[0]}'?" if near else ""
+    return f"a run of this library: {', '.join(shipped_runs())}.{meant}"
 
 
 def read_notes(folder: Path) -> RunNotes:
@@ -95,6 +102,9 @@ def read_notes(folder: Path) -> RunNotes:
     """
     path = folder / RUN_FILE
     if not path.is_file():
+        if (folder / MANIFEST_NAME).is_file():
+            train = shlex.join(["neuralgrasps", "train", str(folder), "--out", "RUN"])
+            raise DataFormatError(f"'{folder}' is a dataset, not a run; train it: {train}")
         raise DataFormatError(f"'{folder}' holds no fitted field: {RUN_FILE} is missing. Train first.")
     try:
         raw = json.loads(path.read_bytes())
