@@ -116,6 +116,8 @@ SYNTHESISE = ("synthesise", "--hand", "panda", "--object", "gelatin_box", "--cou
         (("dataset", "verify", "."), "manifest.json is missing"),
         (("train", "nowhere"), "manifest.json is missing"),
         (("evaluate", "nowhere"), "does not exist"),
+        (("evaluate", "standin7"), "a run of this library: standins7, ycb7. Did you mean 'standins7'?"),
+        (("retrieve", "ycb-7"), "Did you mean 'ycb7'?"),
         (("retrieve", "nowhere"), "neither a folder that `train` wrote nor a run of this library: standins7, ycb7"),
         (("pose", "mustard_bottle"), "either --cloud"),
         (("pose", "mustard_bottle", "--cloud", "none.ply"), "does not exist"),
@@ -186,6 +188,26 @@ def test_damaged_files_are_refused(ng: Call, pipeline: Pipeline, tmp_path: Path)
     (tmp_path / "r").mkdir()
     (tmp_path / "r" / "run.json").write_text("[1, 2")
     assert "damaged" in ng("retrieve", tmp_path / "r").err
+
+
+def test_runs_and_datasets_are_told_apart(ng: Call, pipeline: Pipeline) -> None:
+    train = f"'{pipeline.dataset}' is a dataset, not a run; train it: neuralgrasps train {pipeline.dataset} --out RUN"
+    assert train in ng("retrieve", pipeline.dataset).err
+    for args in (("dataset", "info", pipeline.run), ("dataset", "verify", pipeline.run), ("train", pipeline.run)):
+        ended = ng(*args)
+        assert ended.code == 2 and f"'{pipeline.run}' is a run, not a dataset" in ended.err
+
+
+def test_training_that_cannot_be_is_refused(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
+    for options, said in (
+        (("--steps", 0), "--steps is 0; expected at least 1"),
+        (("--learning-rate", -1), "--learning-rate is -1; expected above 0, at most 1"),
+        (("--learning-rate", "nan"), "--learning-rate is nan"),
+    ):
+        ended = ng("train", pipeline.dataset, "--out", tmp_path / "r", *options)
+        assert ended.code == 2 and said in ended.err and not (tmp_path / "r").exists()
+    ended = ng("dataset", "verify", pipeline.dataset, "--spot-checks", -1)
+    assert ended.code == 2 and "--spot-checks is -1; expected 0" in ended.err
 
 
 def test_grasps_that_are_not_there(ng: Call, pipeline: Pipeline) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -61,7 +62,10 @@ def test_grasp_files_are_still_taken(ng: Call, pipeline: Pipeline, tmp_path: Pat
     [
         ((), "nothing to build from"),
         (("--hands", "panda"), "nothing to build from"),
-        (("--hands", "panda", "--objects", "gelatin_box", "--hold-out", "pandda"), "Did you mean 'panda'"),
+        (
+            ("--hands", "panda", "--objects", "gelatin_box", "--hold-out", "pandda"),
+            "--hold-out: name 'pandda' is not known. Did you mean 'panda'?",
+        ),
         (("--hands", "panda", "--objects", "gelatin_box", "--hold-out", "panda"), "leaves no pair"),
         (("--hands", "panda", "--objects", "gelatin_box", "--cloud-points", 0), "cloud_points is 0"),
         (("--hands", "panda", "--objects", "gelatin_box", "--count", 0), "count is 0"),
@@ -71,3 +75,23 @@ def test_grasp_files_are_still_taken(ng: Call, pipeline: Pipeline, tmp_path: Pat
 def test_what_cannot_be_built_is_said_before_any_work(ng: Call, tmp_path: Path, options, said: str) -> None:
     ended = ng("dataset", "build", *options, "--out", tmp_path / "d")
     assert ended.code != 0 and said in ended.err and not (tmp_path / "d" / "synthesised").exists()
+
+
+def test_an_unknown_name_to_hold_out_of_grasp_files_is_named(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
+    ended = ng("dataset", "build", pipeline.grasps, "--out", tmp_path / "d", "--hold-out", "allegro")
+    assert ended.code == 2 and "--hold-out: name 'allegro' is not known. Known names: fetch, gelatin_box" in ended.err
+
+
+def test_info_notices_files_that_are_short_or_gone(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
+    copy = tmp_path / "d"
+    shutil.copytree(pipeline.dataset, copy)
+    sound = ng("dataset", "info", copy)
+    assert sound.result["damaged"] == [] and "DAMAGED" not in sound.out and "spare: beyond 50 and 5" in sound.out
+    manifest = neuralgrasps.read_dataset(copy).manifest
+    short, gone = copy / manifest.shards[0].samples_file, copy / manifest.shards[1].grasps_file
+    short.write_bytes(short.read_bytes()[:-100])
+    gone.unlink()
+    told = ng("dataset", "info", copy)
+    assert told.code == 0 and "DAMAGED" in told.out and len(told.result["damaged"]) == 2
+    assert any(manifest.shards[0].samples_file in line and "cut short" in line for line in told.result["damaged"])
+    assert f"{manifest.shards[1].grasps_file}: missing" in told.result["damaged"]

@@ -23,7 +23,7 @@ from neuralgrasps.cli.models import (
 from neuralgrasps.cli.options import Folder, Names, OptionalInt, PositionalFolder, Unit, Workers, check_seed
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
-from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.errors import DataFormatError, InputError, UnknownNameError, unknown_name
 
 if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
@@ -185,9 +185,17 @@ def _synthesised(
 
 
 def _own_names(names: Sequence[str], given: _Given) -> list[str]:
-    """Hands and objects as the dataset calls them, where they are named as they were asked for (a YCB id, a file)."""
+    """Hands and objects of --hold-out as the dataset calls them, also where they are named as they were asked for.
+
+    Raises:
+        UnknownNameError: neither a hand nor an object of the dataset, nor a YCB id or file of one.
+    """
     asked = {spec: name for known in (given.hand_sources, given.object_sources) for name, spec in known.items()}
-    return [asked.get(source_text(name), name) for name in names]
+    own = [asked.get(source_text(name), name) for name in names]
+    for name in own:
+        if name not in given.hands and name not in given.objects:
+            raise UnknownNameError(f"--hold-out: {unknown_name('name', name, [*given.hands, *given.objects])}")
+    return own
 
 
 def read_grasp_files(paths: Sequence[Path]) -> tuple[list[GraspSet], dict[str, dict[str, str]]]:
@@ -240,6 +248,8 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
         dataset: folder of the dataset.
     """
     from neuralgrasps.dataset.read import read_dataset
+    from neuralgrasps.dataset.splits import TEST_LIMIT, TRAIN_LIMIT
+    from neuralgrasps.dataset.verify import short_files
 
     data = read_dataset(dataset)
     config = data.manifest.config
@@ -266,6 +276,12 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
             for s, split in zip(shards, splits.values(), strict=True)
         ],
     )
+    terminal.say(
+        f"train: what a run is fitted to; test: what it must not see; spare: beyond {TRAIN_LIMIT} and {TEST_LIMIT} "
+        "of a pair, used by neither."
+    )
+    damaged = short_files(data)
+    terminal.notes(damaged, title="DAMAGED (`dataset verify` checks the content of all files):")
     result = {
         "folder": str(dataset),
         "library_version": data.manifest.library_version,
@@ -277,6 +293,7 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
         "held_out_hands": data.manifest.held_out_hands,
         "held_out_objects": data.manifest.held_out_objects,
         "size_bytes": size,
+        "damaged": damaged,
         "hands": data.hands,
         "objects": data.objects,
         "grasps": sum(s.scenes for s in shards),
@@ -302,11 +319,13 @@ def verify(terminal: Terminal, dataset: PositionalFolder, /, *, spot_checks: int
 
     Args:
         dataset: folder of the dataset.
-        spot_checks: sample points per pair whose distance is computed again.
+        spot_checks: sample points per pair whose distance is computed again; 0: files only.
     """
     from neuralgrasps.dataset.read import read_dataset
     from neuralgrasps.dataset.verify import VerifyResult, verify_dataset
 
+    if spot_checks < 0:
+        raise InputError(f"--spot-checks is {spot_checks}; expected 0 (files only) or more.")
     data = read_dataset(dataset)
     try:
         with terminal.progress("verifying"):

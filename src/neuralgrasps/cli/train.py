@@ -41,7 +41,7 @@ def train(
     preset: Literal["paper", "paper-fast"] = "paper-fast",
     minutes: OptionalFloat = None,
     epochs: OptionalInt = None,
-    resume: bool = True,
+    resume: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: go on from it)")] = True,
     checkpoint_minutes: float = 5.0,
     device: OptionalText = None,
 ) -> Outcome:
@@ -65,7 +65,7 @@ def train(
         preset: of the MLP field: the paper's schedule (1e10 samples), or one with a tenth of it or less.
         minutes: of the MLP field: squeeze the schedule into so long; training that goes on stops after so long.
         epochs: of the MLP field: length of the schedule, 20,000 points per grasp each.
-        resume: of the MLP field: go on from the checkpoint in `out`, if there is one.
+        resume: of the MLP field: start anew, even where `out` holds a checkpoint.
         checkpoint_minutes: of the MLP field: between checkpoints.
         device: of the MLP field: cpu or cuda; a GPU if there is one when not given.
     """
@@ -87,6 +87,10 @@ def train(
     from neuralgrasps.model.train import TrainConfig
     from neuralgrasps.model.train import train as fit
 
+    if steps < 1:
+        raise InputError(f"--steps is {steps}; expected at least 1.")
+    if not 0.0 < learning_rate <= 1.0:
+        raise InputError(f"--learning-rate is {learning_rate:g}; expected above 0, at most 1; 0.003 suits most data.")
     check_writable(out, folder=True)
     config = TrainConfig(steps=steps, batch=batch, learning_rate=learning_rate, seed=seed, threads=threads)
     data = read_dataset(dataset)

@@ -11,7 +11,7 @@ from neuralgrasps.dataset.read import GraspDataset
 from neuralgrasps.dataset.schema import ShardEntry, sha256_of_file
 from neuralgrasps.dataset.shards import CLOUD_ARRAYS
 from neuralgrasps.dataset.splits import check_held_out
-from neuralgrasps.dataset.stored import CheckedFiles, metadata_on_disk
+from neuralgrasps.dataset.stored import CheckedFiles, header_fits, metadata_on_disk
 from neuralgrasps.errors import NeuralGraspsError
 from neuralgrasps.geometry.mesh import signed_distance, unsigned_distance
 from neuralgrasps.seeds import child_rng
@@ -67,6 +67,20 @@ def verify_dataset(dataset: GraspDataset, *, spot_checks: int = 200, seed: int =
                     found.append(f"{name}: stored object distances are off by up to {1e3 * error:.4f} mm")
         problems += found
     return VerifyResult(problems=tuple(problems), files=files, scenes=scenes, max_error_m=max(errors))
+
+
+def short_files(dataset: GraspDataset) -> tuple[str, ...]:
+    """One line for each file that is missing, or not as long as its own header says; nothing is read but headers."""
+    entries = [(stored.file, "") for _, stored in sorted(dataset.manifest.objects.items())]
+    entries += [file for entry in dataset.manifest.shards for file in _files_of(entry)]
+    problems = []
+    for name, _ in entries:
+        path = dataset.folder / name
+        if not path.is_file():
+            problems.append(f"{name}: missing")
+        elif not header_fits(path):
+            problems.append(f"{name}: cut short or no shard ({path.stat().st_size:,} bytes)")
+    return tuple(problems)
 
 
 def _files_of(entry: ShardEntry) -> list[tuple[str, str]]:
