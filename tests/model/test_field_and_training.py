@@ -200,8 +200,14 @@ def test_another_mesh_of_the_same_name_is_refused(small_run, small_world, make_o
     save_run(tmp_path, small_run)
     brick = small_world.objects["brick"]
     larger = make_object("brick", Mesh(brick.mesh.vertices * 1.2, brick.mesh.faces), cells=48, points=1024)
-    with pytest.raises(InputError, match="not the one that the run was fitted with"):
+    with pytest.raises(InputError, match="not the one that the run was fitted with") as one:
         load_run(tmp_path, hands=small_world.hands, objects={**small_world.objects, "brick": larger})
+    assert "--objects DIR_OR_FILES" in str(one.value) and "'ball'" not in str(one.value)
+    ball = small_world.objects["ball"]
+    smaller = make_object("ball", Mesh(ball.mesh.vertices * 0.8, ball.mesh.faces), cells=48, points=1024)
+    with pytest.raises(InputError, match=r"2 objects are not the ones .*'ball' \(.* mm off.*'brick' \(") as both:
+        load_run(tmp_path, hands=small_world.hands, objects={"brick": larger, "ball": smaller})
+    assert "objects download ycb" in str(both.value)
 
 
 def test_correction_turns_with_the_scene_and_serves_unknown_objects(small_run, make_object) -> None:

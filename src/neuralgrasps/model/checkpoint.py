@@ -190,14 +190,20 @@ def _grasps_of(folder: Path, run: RunNotes) -> dict[tuple[str, str], GraspSet]:
     return found
 
 
-def _check_same(codec: ObjectCodec, obj: ObjectModel) -> None:
-    """That an object is the one whose contact points were encoded."""
-    away = float(np.quantile(np.abs(query_grid_numpy(obj.sdf, codec.points_O)), 0.95))
-    if away > SAME_OBJECT_M:
+def _check_same(codecs: Mapping[str, ObjectCodec], objects: Mapping[str, ObjectModel]) -> None:
+    """That objects are those whose contact points were encoded; all that are not are named at once."""
+    wrong = []
+    for name, codec in codecs.items():
+        away = float(np.quantile(np.abs(query_grid_numpy(objects[name].sdf, codec.points_O)), 0.95))
+        if away > SAME_OBJECT_M:
+            source = objects[name].provenance.get("source", "unknown")
+            wrong.append(f"'{name}' ({1e3 * away:.1f} mm off, read from: {source})")
+    if wrong:
+        which = "object is not the one" if len(wrong) == 1 else f"{len(wrong)} objects are not the ones"
         raise InputError(
-            f"object '{obj.name}' is not the one that the run was fitted with: its surface is {1e3 * away:.1f} mm "
-            f"off (95th percentile). It was read from: {obj.provenance.get('source', 'unknown')}. Give the right mesh; "
-            "the scans of YCB come with 'neuralgrasps objects download ycb'."
+            f"{which} that the run was fitted with: {', '.join(wrong)}; distances are of the surface, 95th percentile. "
+            "Give the right meshes with --objects DIR_OR_FILES (`objects` in Python); the scans of YCB come with "
+            "`neuralgrasps objects download ycb`."
         )
 
 
@@ -234,8 +240,7 @@ def _field_of(
         name: ObjectCodec(name=name, radius_m=run.radius_m[i], **{a: arrays[f"object.{i}.{a}"] for a in _OBJECT_ARRAYS})
         for i, name in enumerate(run.objects)
     }
-    for name, codec in object_codecs.items():
-        _check_same(codec, objects[name])
+    _check_same(object_codecs, objects)
     for name, own in hand_codecs.items():
         _check_same_hand(own, hands[name])
     decoder = None
