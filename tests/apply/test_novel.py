@@ -1,3 +1,4 @@
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -24,9 +25,10 @@ def check_result(result: NovelResult, count: int) -> None:
 
 
 def test_codes_of_known_grasps_come_back_and_hold(box_world: BoxWorld) -> None:
-    result = novel_grasps(box_world.field, box_world.book, **PAIR, config=NovelConfig(spread=0.0, count=8))
+    result = novel_grasps(box_world.field, box_world.book, **PAIR, config=NovelConfig(spread=0.0, count=8, search=0))
     check_result(result, 8)
     assert result.held_share == 1.0
+    assert repr(result) == "NovelResult(panda on brick: 8 codes by noise: 8 held)"
     assert result.palm_shift_m.max() < 1e-3 and result.novelty_m.max() < 1e-3
     assert result.contact_change.max() < 0.02
     assert np.allclose(result.grasps.X_OH, box_world.grasps.X_OH[result.codes.source], atol=1e-3)
@@ -69,6 +71,13 @@ def test_measure_novel_counts_every_code(box_world: BoxWorld) -> None:
     assert measured.config.spread == 0.05 and done == [(1, 1)]
     alone = novel_grasps(box_world.field, box_world.book, **PAIR, config=measured.config)
     assert np.array_equal(alone.outcome, measured.results[0].outcome)
+
+
+def test_search_is_the_same_for_all_but_benchmarks(box_world: BoxWorld) -> None:
+    from neuralgrasps.cli.novel import novel  # noqa: PLC0415
+
+    assert inspect.signature(novel).parameters["search"].default == NovelConfig().search == 16
+    assert measure_novel(box_world.field, box_world.book, kind="midpoint", per_pair=1).config.search == 0
 
 
 def test_only_training_codes_are_used(box_world: BoxWorld) -> None:

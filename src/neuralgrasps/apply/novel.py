@@ -59,6 +59,11 @@ class NovelResult:
     config: NovelConfig
     seed: int
 
+    def __repr__(self) -> str:
+        ends = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+        codes = f"{len(self.outcome)} code{'' if len(self.outcome) == 1 else 's'} by {self.config.kind}"
+        return f"NovelResult({self.grasps.hand} on {self.grasps.object}: {codes}: {ends})"
+
     @property
     def counts(self) -> Mapping[str, int]:
         """How many codes ended how."""

@@ -62,7 +62,7 @@ class NovelConfig:
     count: int = 20
     spread: float = 0.1
     share: float = 0.5
-    search: int = 0
+    search: int = 16
     noise_level: float = 0.0
     protocol: str = "dexgraspbench"
 

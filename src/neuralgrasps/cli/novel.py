@@ -50,7 +50,7 @@ def novel(
     when none holds.
 
     Args:
-        run: folder that `train` wrote.
+        run: folder that `train` wrote, or the name of a shipped run.
         hand: a hand of the run, with training grasps of the object.
         object_name: an object of the run.
         count: codes; fewer grasps hold.

@@ -70,7 +70,8 @@ def measure_novel(
     """Sample `per_pair` codes of every pair that has training codes, and try each once in physics.
 
     Args:
-        config: of the sampling; `kind`, `spread`, `per_pair` (its count) and `search` replace its entries.
+        config: of the sampling, `NovelConfig(search=0)` when None: codes closed as decoded; `kind`, `spread`,
+            `per_pair` (its count) and `search` replace its entries.
         hands, objects: only these; all of the code book when None.
         workers: processes, all processors when None; the result does not depend on it.
         progress: called with (pairs done, pairs).
@@ -78,7 +79,7 @@ def measure_novel(
         InputError: no pair has training codes. Others as for `novel_grasps`.
     """
     given = {"kind": kind, "spread": spread, "count": per_pair, "search": search}
-    chosen = replace(config or NovelConfig(), **{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
+    chosen = replace(config or NovelConfig(search=0), **{k: v for k, v in given.items() if v is not None})  # type: ignore[arg-type]
     pairs = [
         (h, o)
         for h in (codebook.hands if hands is None else hands)
