@@ -111,3 +111,10 @@ def test_questions_without_an_answer_are_refused() -> None:
         retrieve(book([0.0]), gallery, object_name="box", hand="b")
     with pytest.raises(InputError, match="count is 0"):
         retrieve(book([0.0]), gallery, object_name="box", count=0)
+
+
+def test_results_are_told_in_a_line() -> None:
+    gallery = book([0.0, 0.25, 1.0])
+    assert repr(retrieve(book([0.0]), gallery, object_name="box", count=2)) == (
+        "RetrieveResult(1 query, 2 grasps each, code distance 0.000-0.003)"
+    )

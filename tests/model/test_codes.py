@@ -146,3 +146,9 @@ def test_a_joint_that_cannot_move_gives_numbers() -> None:
     still = replace(codec, upper=upper)
     q = np.clip(np.full((1, codec.num_joints), 0.5), still.lower, still.upper)
     assert np.isfinite(still.posture(q)).all() and np.allclose(still.joints(still.posture(q)), q)
+
+
+def test_a_code_book_is_told_in_a_line(small_run) -> None:
+    book = small_run.codebook
+    assert repr(book) == "CodeBook(allegro, fetch on ball, brick: 48 codes, 8 unseen)"
+    assert repr(book[~book.is_test][:1]) == "CodeBook(allegro, fetch on ball, brick: 1 code)"

@@ -33,6 +33,17 @@ class RetrieveResult:
     map_distance: np.ndarray
     symmetry: np.ndarray
 
+    def __repr__(self) -> str:
+        queries, count = self.index.shape
+        words = [
+            f"{queries} {'query' if queries == 1 else 'queries'}",
+            f"{count} {'grasp' if count == 1 else 'grasps'} each",
+        ]
+        found = self.code_distance[self.index >= 0]
+        if len(found):
+            words.append("code distance " + "-".join(dict.fromkeys(f"{v:.3f}" for v in (found.min(), found.max()))))
+        return f"RetrieveResult({', '.join(words)})"
+
 
 class Gallery:
     """A code book put in order for many searches: each hand's grasps of an object lie together.

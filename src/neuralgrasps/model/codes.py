@@ -229,6 +229,13 @@ class CodeBook:
             if count and (index.min() < 0 or index.max() >= len(known)):
                 raise InputError(f"code book: {name} reaches {index.max()}; expected 0 to {len(known) - 1}.")
 
+    def __repr__(self) -> str:
+        count, unseen = len(self), int(self.is_test.sum())
+        words = [f"{count} code" if count == 1 else f"{count} codes"]
+        words += [f"{unseen} unseen"] if unseen else []
+        whose = " on ".join(", ".join(names) or "none" for names in (self.hands, self.objects))
+        return f"CodeBook({whose}: {', '.join(words)})"
+
     def __len__(self) -> int:
         return len(self.values)
 
