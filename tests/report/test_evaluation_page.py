@@ -30,6 +30,7 @@ from neuralgrasps.report.evaluation_tables import (
 )
 from neuralgrasps.report.latent_section import letter_of
 from neuralgrasps.report.page import report_html
+from neuralgrasps.report.table_sections import table_html
 
 HTML = "{http://www.w3.org/1999/xhtml}"
 
@@ -132,12 +133,12 @@ def test_rounding_reads_as_such_and_headers_are_narrow() -> None:
     assert [small(v) for v in (None, 0.0, 1.64e-6, 0.02)] == [None, 0.0, "< 0.001", 0.02]
     table = summary_table(three_columns(0.002))
     assert "re-ranked: after the first 20 by code were put in order by contact map" in table.meaning
-    # At 1400 px the page is 1,150 px wide: headers may wrap at spaces, cells may not, and each column has 30 px of air.
+    # At 1400 px the page is 1,150 px wide: headers may wrap at spaces, cells may not, and each column has 16 px of air.
     widths = [
         max(*(len(word) for word in head.split()), len(str(cell)))
         for head, cell in zip(table.columns, table.rows[0], strict=True)
     ]
-    assert 8 * sum(widths) + 30 * len(widths) < 1150
+    assert 8 * sum(widths) + 16 * len(widths) < 1150 and 'class="scroll tight"' in table_html(table)
     css = (Path(neuralgrasps.__file__).parent / "assets" / "report" / "page.css").read_text()
     assert re.search(r"^th {[^}]*white-space: normal", css, re.MULTILINE)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import igl
 import numpy as np
 from scipy.ndimage import map_coordinates
-from skimage.measure import marching_cubes
 
 from neuralgrasps.dataset.samples import Normalisation
 from neuralgrasps.errors import InputError
@@ -107,8 +107,10 @@ def level_mesh(
     volume = np.maximum(guess, edge).reshape((fine + 1,) * 3)
     if not volume.min() < 0.0 < volume.max():
         raise InputError("the field has no surface in the ball: it is positive everywhere; train it longer.")
-    vertices, faces, _, _ = marching_cubes(volume, 0.0)
-    unit = reach * (vertices * (2.0 / fine) - 1.0)
+    axis = np.linspace(-reach, reach, fine + 1)
+    corners = np.stack(np.meshgrid(axis, axis, axis, indexing="ij")[::-1], axis=-1).reshape(-1, 3)  # x runs fastest
+    size = (fine + 1,) * 3
+    unit, faces, _ = igl.marching_cubes(np.ascontiguousarray(volume.T).ravel(), corners, *size, 0.0)
     return Mesh(np.asarray(normalisation.to_object(unit), np.float64), np.ascontiguousarray(faces, np.int32))
 
 

@@ -153,7 +153,7 @@ def table_html(table: Table) -> str:
     title = f"<h3>{escape(table.title)}</h3>" if table.title else ""
     words = (("What it means.", table.meaning), ("How it was measured.", table.how))
     text = "".join(f'<p class="how"><b>{label}</b> {escape(value)}</p>' for label, value in words if value)
-    small = " small" if len(table.columns) <= 3 else ""
+    small = " small" if len(table.columns) <= 3 else " tight" if len(table.columns) >= 7 else ""
     content = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
     return f'{title}<div class="scroll{small}" tabindex="0">{content}</div><div class="explain">{text}</div>'
 
