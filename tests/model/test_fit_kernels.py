@@ -7,9 +7,10 @@ from neuralgrasps.dataset.hand_surface import packed_link_poses, sample_posed_su
 from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.kinematics.jacobian import link_jacobian
+from neuralgrasps.model.fit_config import InferConfig
 from neuralgrasps.model.fit_kernels import fit_cost, fit_gradient, link_twists
 from neuralgrasps.model.fit_prior import grasp_prior, posed_points
-from neuralgrasps.model.fit_search import CloudSearch, InferConfig
+from neuralgrasps.model.fit_search import CloudSearch
 from neuralgrasps.model.fit_solver import fit_hand, moved_pose, score_starts
 
 

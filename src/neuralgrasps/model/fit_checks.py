@@ -7,8 +7,9 @@ from scipy.spatial import KDTree
 
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.hands.packed import hand_distance_many
+from neuralgrasps.model.fit_config import Fit, Search
 from neuralgrasps.model.fit_prior import posed_points
-from neuralgrasps.model.fit_search import EFFECTIVE_POINTS, CloudSearch, Fit, Search
+from neuralgrasps.model.fit_search import EFFECTIVE_POINTS, CloudSearch
 
 UNEXPLAINED_SHARE = 0.04
 OUTLIER_SHARE = 0.25

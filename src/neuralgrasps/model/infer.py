@@ -21,8 +21,9 @@ from neuralgrasps.dataset.samples import closeness
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.model.codes import CELLS, CODE_SIZE, CONTACT_BLOCK, CodeBook, contact_blocks
 from neuralgrasps.model.fit_checks import doubts
+from neuralgrasps.model.fit_config import InferConfig, Search, Starts
 from neuralgrasps.model.fit_prior import grasp_prior
-from neuralgrasps.model.fit_search import CloudSearch, InferConfig, Search, Starts
+from neuralgrasps.model.fit_search import CloudSearch
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.parallel import thread_map
 from neuralgrasps.seeds import child_rng
