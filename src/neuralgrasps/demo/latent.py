@@ -71,7 +71,7 @@ class ObjectMeasures:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Found:
-    """A grasp in a retrieval row; `similarity` of its contact map to the query's."""
+    """A grasp in a retrieval row; `similarity` of its contact map to the query's, scaled as in `score_retrieval`."""
 
     hand: str
     grasp: int
@@ -215,8 +215,8 @@ def _example(book: CodeBook, gallery: CodeBook, object_name: str, query_hand: st
     first = hands.index(query_hand) if query_hand in hands else 0
     query = asked[first]
     among = gallery[gallery.where(object_name=object_name)]
-    distance = cdist(query.contact_maps, among.contact_maps, "cityblock")[0]
-    scale = float(max(distance.max(), 1e-12))
+    distances = cdist(asked.contact_maps, among.contact_maps, "cityblock")
+    distance, scale = distances[first], float(max(distances.max(), 1e-12))  # as in the table: `score_retrieval`
 
     def found(row: int) -> Found:
         return Found(
