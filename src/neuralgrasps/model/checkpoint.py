@@ -197,11 +197,12 @@ def _check_same(codecs: Mapping[str, ObjectCodec], objects: Mapping[str, ObjectM
         away = float(np.quantile(np.abs(query_grid_numpy(objects[name].sdf, codec.points_O)), 0.95))
         if away > SAME_OBJECT_M:
             source = objects[name].provenance.get("source", "unknown")
-            wrong.append(f"'{name}' ({1e3 * away:.1f} mm off, read from: {source})")
+            origin = "a built-in stand-in" if source.startswith("stand-in") else f"read from: {source}"
+            wrong.append(f"'{name}' ({origin}, {1e3 * away:.1f} mm off)")
     if wrong:
         which = "object is not the one" if len(wrong) == 1 else f"{len(wrong)} objects are not the ones"
         raise InputError(
-            f"{which} that the run was fitted with: {', '.join(wrong)}; distances are of the surface, 95th percentile. "
+            f"{which} that the run was fitted with: {', '.join(wrong)}; by the 95th percentile of the surface. "
             "Give the right meshes with --objects DIR_OR_FILES (`objects` in Python); the scans of YCB come with "
             "`neuralgrasps objects download ycb`."
         )
