@@ -311,7 +311,7 @@ def test_schedules() -> None:
     assert shortened(PAPER, 1e9, 250).halve_epochs == 50
     for samples in (6e5, 4e6, 1e8):  # the large batch does not keep a short schedule from being short
         assert shortened(PAPER, samples, 250).samples(250) == pytest.approx(samples, rel=0.3)
-    assert set(PRESETS) == {"paper", "paper-fast"}
+    assert set(PRESETS) == {"paper", "paper-fast", "paper-fast-codes"}
     for config in PRESETS.values():
         assert config_of(json.loads(json.dumps(asdict(config)))) == config
     with pytest.raises(InputError, match="epochs is 0"):

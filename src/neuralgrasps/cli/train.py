@@ -38,7 +38,7 @@ def train(
     hands: Names = (),
     field: Literal["kinematic", "mlp"] = "kinematic",
     object_: Annotated[OptionalText, tyro.conf.arg(name="object")] = None,
-    preset: Literal["paper", "paper-fast"] = "paper-fast",
+    preset: Literal["paper", "paper-fast", "paper-fast-codes"] = "paper-fast",
     minutes: OptionalFloat = None,
     epochs: OptionalInt = None,
     resume: Annotated[bool, tyro.conf.arg(help_behavior_hint="(default: go on from it)")] = True,
@@ -62,7 +62,8 @@ def train(
         hands: files of hands that are not built in and have moved since the dataset was built.
         field: kinematic: one model of all objects; mlp: the published network and free codes of one object.
         object_: of the MLP field: the object to train on.
-        preset: of the MLP field: the paper's schedule (1e10 samples), or one with a tenth of it or less.
+        preset: of the MLP field: the paper's schedule (1e10 samples), or one with a tenth of it or less, for
+            shapes or for codes that retrieve well.
         minutes: of the MLP field: squeeze the schedule into so long; training that goes on stops after so long.
         epochs: of the MLP field: length of the schedule, 20,000 points per grasp each.
         resume: of the MLP field: start anew, even where `out` holds a checkpoint.

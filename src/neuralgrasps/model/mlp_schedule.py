@@ -138,7 +138,14 @@ PAPER_FAST = MlpTrainConfig(
     code_std=0.4,
     decoder=MlpConfig(dropout=0.0),
 )
-PRESETS: Mapping[str, MlpTrainConfig] = {"paper": PAPER, "paper-fast": PAPER_FAST}
+# For codes rather than shapes: noise on the codes halves the retrieval gap of unseen grasps (.066 to .036 after 1.5e7
+# samples of one object, from signed distances alone); far draws, which keep stray surfaces away, widen it.
+PAPER_FAST_CODES = replace(PAPER_FAST, far_share=0.0, code_noise=0.3)
+PRESETS: Mapping[str, MlpTrainConfig] = {
+    "paper": PAPER,
+    "paper-fast": PAPER_FAST,
+    "paper-fast-codes": PAPER_FAST_CODES,
+}
 
 
 def shortened(config: MlpTrainConfig, samples: float, scenes: int) -> MlpTrainConfig:
