@@ -131,6 +131,10 @@ def test_rounding_reads_as_such_and_headers_are_narrow() -> None:
     from tests.evaluate.test_run_evaluate import three_columns  # noqa: PLC0415
 
     assert [small(v) for v in (None, 0.0, 1.64e-6, 0.02)] == [None, 0.0, "< 0.001", 0.02]
+    assert np.isnan(small(np.nan))  # type: ignore[arg-type]
+    too_few = three_columns(np.inf)
+    assert chamfer_table(too_few, "test", KNOWN).rows[0][2] == "– (1.44)"
+    assert [c.label for c in key_figures(too_few)] == ["retrieval gap"]
     table = summary_table(three_columns(0.002))
     assert "re-ranked: after the first 20 by code were put in order by contact map" in table.meaning
     # At 1400 px the page is 1,150 px wide: headers may wrap at spaces, cells may not, and each column has 16 px of air.

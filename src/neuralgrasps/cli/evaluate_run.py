@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -199,4 +200,5 @@ def _show_similarities(terminal: Terminal, scores: RunScores, part: str, given: 
 
 
 def _beside(value: float, paper: float | None) -> str:
-    return f"{value:.2f}" if paper is None else f"{value:.2f} ({paper:.2f})"
+    own = f"{value:.2f}" if math.isfinite(value) else "-"
+    return own if paper is None else f"{own} ({paper:.2f})"

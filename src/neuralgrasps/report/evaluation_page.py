@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -97,7 +98,7 @@ def key_figures(scores: RunScores) -> tuple[KeyFigure, ...]:
         gap = f"{s['gap']:.4f}"
         if given == KNOWN:
             note += ": by construction, nothing is inferred"
-            if "chamfer_over_oracle" in s:
+            if math.isfinite(s.get("chamfer_over_oracle", math.nan)):
                 text = f"×{s['chamfer_over_oracle']:.3f}"
                 figures.append(KeyFigure(value=text, label="Chamfer over a perfect field's", note=note))
         elif "surface_median_mm" in s:

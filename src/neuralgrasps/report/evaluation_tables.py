@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from neuralgrasps.evaluate.run_scores import INPUTS, KNOWN, HandRow, ObjectRow, RunScores, SimilarityRow
@@ -73,7 +74,8 @@ def chamfer_table(scores: RunScores, part: str, given: str) -> Table:
         f"a hollow shape below that: its score is no bound. {beside_paper(scores, part, given)} "
         f"{scores.chamfer_note(part, given)}".rstrip(),
         how="The paper's figures are for its own hands, grasps and samples of the objects: the comparison is one of "
-        "protocol, not of data. Means over the grasps of a hand and object.",
+        "protocol, not of data. Means over the grasps of a hand and object. A dash: of so few queries none fell inside "
+        "the hand.",
     )
 
 
@@ -110,6 +112,8 @@ def _chamfer_text(row: HandRow | ObjectRow | None) -> str | None:
     if row is None:
         return None
     paper = "" if row.paper_e3 is None else f" ({row.paper_e3:.2f})"
+    if not math.isfinite(row.chamfer_e3):  # so few queries that none fell inside
+        return f"–{paper}"
     return f"{row.chamfer_e3:.2f} ×{row.over_oracle:.3f}{paper}"
 
 
@@ -205,7 +209,7 @@ def times_table(scores: RunScores) -> Table:
 
 def small(value: float | None) -> float | str | None:
     """A length in mm or an error of contact maps; what is exact but for rounding reads "< 0.001"."""
-    return value if value is None or value == 0 or value >= LEAST else "< 0.001"
+    return "< 0.001" if value is not None and 0 < value < LEAST else value  # nan stays what it is
 
 
 def _fixed(value: float, digits: int) -> str:
