@@ -2,8 +2,7 @@
 
 It is minus the logarithm of a posterior: exact distances of the observed points, surface that should have
 been observed, a Gaussian of postures, and what is true of grasps (the hand stays out of the object, its tips touch it).
-All rows of one link depend on its motion alone, so they are summed as one 6 x 6 matrix per link before the
-kinematics is applied: the cost of a point does not grow with the number of joints.
+Rows of one link are summed as a 6 x 6 matrix before the kinematics: joints do not raise the cost of a point.
 """
 
 from __future__ import annotations
