@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from neuralgrasps.dataset.balance import balanced_draw, sign_lists
 from neuralgrasps.errors import DataFormatError, DivergedError, InputError
 from neuralgrasps.model.checkpoint import load_run
 from neuralgrasps.model.losses import variable_margin_triplet
@@ -24,6 +23,7 @@ from neuralgrasps.model.mlp_run import free_codebook, load_mlp_run, run_kind, sa
 from neuralgrasps.model.mlp_schedule import PAPER, PAPER_FAST, PRESETS, MlpTrainConfig, shortened
 from neuralgrasps.model.mlp_train import MlpTrainer, train_mlp
 from neuralgrasps.model.train_state import STATE_FILE
+from tests.model.plain_draw import balanced_draw, sign_lists
 
 SMALL = MlpTrainConfig(
     epochs=8,

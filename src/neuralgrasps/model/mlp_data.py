@@ -55,7 +55,7 @@ class SceneSamples:
         """(n, count) int64 points of each of `scenes` (n,): half positive to either shape, half non-positive.
 
         With replacement. Where a scene has no point of one kind, all its points are of the other, and both halves are
-        drawn from them. See `dataset.balance.balanced_draw` for the plain statement.
+        drawn from them.
 
         Args:
             far_share: part of the points that is drawn from the far ones instead, the last of each row.

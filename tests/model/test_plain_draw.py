@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from neuralgrasps.dataset.balance import balanced_draw, sign_lists
 from neuralgrasps.errors import ShapeError
+from tests.model.plain_draw import balanced_draw, sign_lists
 
 
 def test_lists_of_a_scene_worked_out_by_hand() -> None:
