@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from neuralgrasps.errors import InputError, ShapeError, StorageError
-from neuralgrasps.geometry.camera import Intrinsics, look_at, project
+from neuralgrasps.geometry.camera import project
 from neuralgrasps.geometry.mesh import Mesh, box_mesh, capsule_mesh, sphere_mesh
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.hands.zoo import hand_names, load_hand
@@ -19,7 +19,6 @@ from neuralgrasps.report.figures import (
     render_grasp,
     render_hand,
     render_object,
-    render_pose_overlay,
     save_picture,
     values_at_vertices,
 )
@@ -196,22 +195,6 @@ def test_a_batch_of_grasps_is_refused():
         posed_hand_surfaces(hand, np.stack([np.eye(4)] * 2), hand.q_open)
     with pytest.raises(ShapeError, match="joints"):
         posed_hand_surfaces(hand, np.eye(4), np.zeros(9))
-
-
-def test_pose_overlay_tints_the_object_only():
-    k = Intrinsics.from_fov(math.radians(45), 80, 60)
-    mesh = sphere_mesh(0.05)
-    X_CO = np.linalg.inv(look_at(np.array([0.4, 0, 0]), np.zeros(3)))
-    depth = rasterise([mesh], X_CO[None], k).depth
-    plain = render_depth(np.where(np.isfinite(depth), depth, 1.0))
-    picture = render_pose_overlay(plain, mesh, X_CO, k, scale=1)
-    changed = np.abs(picture.astype(int) - plain).max(axis=-1) > 12
-    hit = np.isfinite(depth)
-    assert changed[hit].mean() > 0.97
-    assert changed[~hit].sum() < 120  # the outline
-    assert render_pose_overlay(depth, mesh, X_CO, k, X_CO_true=X_CO).shape == (120, 160, 3)
-    with pytest.raises(ShapeError, match=r"\(60, 80\)"):
-        render_pose_overlay(np.ones((10, 10)), mesh, X_CO, k)
 
 
 def test_depth_picture_darkens_with_distance_and_greys_the_unknown():

@@ -38,8 +38,8 @@ from neuralgrasps.report.content import (
     StageTime,
 )
 from neuralgrasps.report.evaluation_page import latent_map
-from neuralgrasps.report.figures import render_depth, render_pose_overlay
 from neuralgrasps.report.page import write_report
+from neuralgrasps.report.pose_overlay import TRUE_COLOUR, DrawnModel, render_pose_overlay, render_relief
 
 TOUCH_M = 0.004  # a contact card counts the surface nearer to the hand than this
 SHOWN = 3  # grasps shown per hand and object
@@ -179,9 +179,14 @@ def _pose_figures(data: DemoData) -> tuple[PoseFigure, ...]:
         figures.append(
             PoseFigure(
                 object=name,
-                observed=render_depth(trial.view.depth),
+                observed=render_relief(trial.view.depth, trial.view.intrinsics),
                 overlay=render_pose_overlay(
-                    trial.view.depth, obj, trial.result.X_CO, trial.view.intrinsics, X_CO_true=trial.X_CO_true
+                    trial.view.depth,
+                    [
+                        DrawnModel(mesh=obj.mesh, X_CO=trial.X_CO_true, colour=TRUE_COLOUR, contour_only=True),
+                        DrawnModel(mesh=obj.mesh, X_CO=trial.result.X_CO),
+                    ],
+                    trial.view.intrinsics,
                 ),
                 rotation_error_deg=float(np.rad2deg(trial.errors.rotation_rad)),
                 translation_error_mm=trial.errors.translation_m * 1e3,

@@ -160,7 +160,7 @@ class PoseFigure:
 
     Attributes:
         object: name.
-        observed: what the camera saw, from `render_depth` (or a colour image).
+        observed: what the camera saw, from `render_relief` (or a colour image).
         overlay: from `render_pose_overlay`.
         rotation_error_deg: modulo the object's symmetries; translation_error_mm; add_s_mm: mean closest-point error.
         wall_s: time to find it.

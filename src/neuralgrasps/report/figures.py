@@ -1,4 +1,4 @@
-"""Pictures of hands, objects, grasps, contact maps and poses, as arrays ready for the page or a PNG file."""
+"""Pictures of hands, objects, grasps, contact maps and depth images, as arrays ready for the page or a PNG file."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from pathlib import Path
 import numpy as np
 import trimesh
 from PIL import Image
-from scipy.ndimage import distance_transform_edt
 from scipy.spatial import KDTree
 
 from neuralgrasps.errors import ShapeError
 from neuralgrasps.files import write_whole
-from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.mesh import Mesh
-from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.surface import hand_part_meshes
 from neuralgrasps.objects.object_model import ObjectModel
@@ -28,7 +25,6 @@ from neuralgrasps.report.palette import (
     linear_rgb,
     linear_to_srgb,
     mix,
-    srgb_to_linear,
 )
 from neuralgrasps.report.shading import Style, Surface, shade
 from neuralgrasps.report.views import best_direction, best_surface_direction, frame_camera, view_direction
@@ -106,53 +102,15 @@ def render_object(
     return _picture([surface], view, size)
 
 
-def render_pose_overlay(
-    image: np.ndarray,
-    obj: ObjectModel | Mesh,
-    X_CO: np.ndarray,
-    intrinsics: Intrinsics,
-    *,
-    X_CO_true: np.ndarray | None = None,
-    scale: int = 2,
-) -> np.ndarray:
-    """The found pose drawn over the camera's picture: tinted object and a crisp outline; the true outline in white.
-
-    Args:
-        image: (h, w) depth in metres, or (h, w, 3) uint8 colour.
-        obj: the object whose pose was found.
-        X_CO: (4, 4) found pose, camera frame (OpenCV).
-        intrinsics: the camera; must be of the image's size.
-        X_CO_true: (4, 4) true pose, when known.
-        scale: pixels of the picture per pixel of the image, each way.
-    Returns:
-        (h * scale, w * scale, 3) uint8.
-    """
-    background = render_depth(image) if image.ndim == 2 else image[..., :3]
-    if background.shape[:2] != (intrinsics.height, intrinsics.width):
-        size = (intrinsics.height, intrinsics.width)
-        raise ShapeError(f"image has shape {image.shape}; the camera's images are {size} (height, width).")
-    mesh = obj if isinstance(obj, Mesh) else obj.mesh
-    factor = 2 * scale  # drawn twice as fine, then averaged: smooth lines
-    fine = intrinsics.scaled(factor)
-    canvas = np.asarray(Image.fromarray(background).resize((fine.width, fine.height), Image.Resampling.BICUBIC)) / 255.0
-    light, mask = _headlight(mesh, X_CO, fine)
-    tint = linear_to_srgb(linear_rgb("#19b5a5")) * (0.35 + 0.65 * light[..., None])
-    canvas = np.where(mask[..., None], 0.42 * canvas + 0.58 * tint, canvas)
-    if X_CO_true is not None:
-        canvas = _outline(canvas, _headlight(mesh, X_CO_true, fine)[1], np.ones(3), 0.9 * factor)
-    canvas = _outline(canvas, mask, np.array([0.02, 0.36, 0.34]), 0.9 * factor)
-    small = srgb_to_linear(canvas).reshape(fine.height // 2, 2, fine.width // 2, 2, 3).mean(axis=(1, 3))
-    return np.round(np.clip(linear_to_srgb(small), 0, 1) * 255).astype(np.uint8)
-
-
 def render_depth(depth: np.ndarray) -> np.ndarray:
     """(h, w, 3) uint8 picture of a depth image in metres, near light, far dark; no measurement in plain grey."""
     depth = np.asarray(depth, np.float64)
     if depth.ndim != 2:
         raise ShapeError(f"depth has shape {depth.shape}; expected (height, width).")
     valid = np.isfinite(depth) & (depth > 0)
-    low, high = np.percentile(depth[valid], [1, 99]) if valid.any() else (0.0, 1.0)
-    at = np.clip((np.where(valid, depth, low) - low) / max(high - low, 1e-6), 0, 1)
+    low, high = np.percentile(depth[valid], [1, 99]) if valid.any() else (1.0, 1.0)
+    # even steps of 1 / depth: what is near, and measured best, gets most of the scale
+    at = np.clip((1.0 / low - 1.0 / np.where(valid, depth, low)) / max(1.0 / low - 1.0 / high, 1e-6), 0, 1)
     stops = np.stack([linear_rgb(c) for c in ("#fbf3df", "#b9d3c8", "#5f9db0", "#2f5f8a", "#1c2f55")])
     colour = np.stack([np.interp(at, np.linspace(0, 1, 5), linear_to_srgb(stops[:, k])) for k in range(3)], -1)
     return np.round(np.where(valid[..., None], colour, 0.84) * 255).astype(np.uint8)
@@ -250,20 +208,3 @@ def _picture(surfaces: Sequence[Surface], view: np.ndarray, size: tuple[int, int
     points = np.concatenate([s.mesh.vertices for s in surfaces])
     X_WC, intrinsics = frame_camera(points, view, size)
     return shade(surfaces, X_WC, intrinsics, style=Style())
-
-
-def _headlight(mesh: Mesh, X_CM: np.ndarray, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """(h, w) cosine between the surface and the camera's ray, and the (h, w) mask of the object."""
-    image = rasterise([mesh], np.asarray(X_CM, np.float64)[None], intrinsics)
-    corners = mesh.vertices[mesh.faces] @ np.asarray(X_CM)[:3, :3].T
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-20)
-    mask = image.face_index >= 0
-    return np.where(mask, np.abs(normal[image.face_index, 2]), 0.0), mask
-
-
-def _outline(canvas: np.ndarray, mask: np.ndarray, colour: np.ndarray, width: float) -> np.ndarray:
-    """`canvas` with a line of `width` pixels just outside `mask`."""
-    distance = np.asarray(distance_transform_edt(~mask))
-    line = (distance > 0) & (distance <= width)
-    return np.where(line[..., None], colour, canvas)

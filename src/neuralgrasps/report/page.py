@@ -62,7 +62,7 @@ _TEXTS = {
     "the "
     "arrow keys; the names of the hands show and hide theirs.",
     "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: "
-    "the object tinted and outlined; a white outline is the true pose. Errors are measured against it, "
+    "the lines of the object in colour; a white outline is the true pose. Errors are measured against it, "
     "up to the object's own symmetries.",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
