@@ -93,8 +93,8 @@ def _read(folder: Path, image: int, camera: dict[str, Any], truth: list[dict[str
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{what} has a broken record in scene_camera.json or scene_gt.json: {error!r}; expected cam_K, and cam_R_m2c,"
-            " cam_t_m2c, obj_id of every instance."
+            f"{what} has a broken record in scene_camera.json or scene_gt.json: {error!r}; expected cam_K, and "
+            "cam_R_m2c, cam_t_m2c, obj_id of every instance."
         ) from error
     if not millimetres > 0:
         raise InputError(f"{what} has depth_scale {millimetres}; expected millimetres per unit, above 0.")
