@@ -10,7 +10,9 @@ from neuralgrasps.evaluate.pose import pose_errors
 from neuralgrasps.geometry.camera import back_project, look_at
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.objects.resting import resting_poses
-from neuralgrasps.perception.segment import segment_above_table
+from neuralgrasps.perception.clusters import find_clusters
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.table import find_table
 from neuralgrasps.sim.camera import DepthNoise, render_depth_view
 
 obj = ng.load_object("mustard_bottle")
@@ -25,7 +27,8 @@ view = render_depth_view(
     [obj.mesh, box_mesh([0.5, 0.5, 0.01])], np.stack([X_WO, X_WT]), X_WC=X_WC, intrinsics=intrinsics, noise=DepthNoise()
 )
 
-mask = segment_above_table(view.depth, intrinsics, X_WC, table_z_m=0.0)[0]
+frame = Frame(view.depth, intrinsics)
+mask = find_clusters(frame, find_table(frame).plane)[0]
 points_C = back_project(view.depth, intrinsics, mask=mask)
 result = ng.estimate_pose(obj, points_C, depth=view.depth, intrinsics=intrinsics)
 errors = pose_errors(obj, result.X_CO, np.linalg.inv(X_WC) @ X_WO)

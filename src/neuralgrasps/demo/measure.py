@@ -12,14 +12,16 @@ from scipy.spatial.distance import pdist
 from neuralgrasps.evaluate.grasps import measured_penetration
 from neuralgrasps.evaluate.pose import PoseErrors, pose_errors
 from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
+from neuralgrasps.geometry.plane import horizontal_plane
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.resting import resting_poses
 from neuralgrasps.parallel import run_tasks
+from neuralgrasps.perception.clusters import find_clusters
+from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.pose import PoseResult, estimate_pose
-from neuralgrasps.perception.segment import segment_above_table
 from neuralgrasps.seeds import child_rng, child_seed
 from neuralgrasps.sim.camera import DepthNoise, DepthView, render_depth_view
 
@@ -107,7 +109,7 @@ def _pose_trial(obj: ObjectModel, seed: int) -> PoseTrial:
         [obj.mesh, box_mesh([0.6, 0.6, 0.01])], np.stack([X_WO, X_WT]), X_WC=X_WC, intrinsics=intrinsics,
         noise=DepthNoise(), seed=seed,
     )  # fmt: skip
-    masks = segment_above_table(view.depth, intrinsics, X_WC, table_z_m=0.0)
+    masks = find_clusters(Frame(view.depth, intrinsics), horizontal_plane(0.0, X_WC))
     points_C = back_project(view.depth, intrinsics, mask=masks[0])
     start = time.perf_counter()
     result = estimate_pose(obj, points_C, depth=view.depth, intrinsics=intrinsics, seed=seed)

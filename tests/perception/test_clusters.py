@@ -1,4 +1,4 @@
-"""Objects cut out of a depth image by the height of the table."""
+"""What stands on a table, cut out of a depth image."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import pytest
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics, look_at
+from neuralgrasps.geometry.plane import Plane, horizontal_plane
 from neuralgrasps.geometry.primitives import box_mesh
-from neuralgrasps.perception.segment import segment_above_table
+from neuralgrasps.perception.clusters import ClusterConfig, find_clusters
+from neuralgrasps.perception.frame import Frame
 from neuralgrasps.sim.camera import DepthNoise, render_depth_view
 
 CAMERA = Intrinsics.from_fov(np.deg2rad(45.0), 200, 150)
@@ -26,6 +28,11 @@ def _scene(boxes, *, X_WC=X_WC, noise=None):
     return render_depth_view(meshes, X_WM, X_WC=X_WC, intrinsics=CAMERA, noise=noise)
 
 
+def _clusters(depth, X_WC=X_WC, intrinsics=CAMERA, **knobs):
+    """Clusters on the table at z = 0."""
+    return find_clusters(Frame(depth, intrinsics), horizontal_plane(0.0, X_WC), config=ClusterConfig(**knobs))
+
+
 BIG = ([0.04, 0.05, 0.06], [0.0, -0.12, 0.06])
 SMALL = ([0.03, 0.03, 0.03], [0.0, 0.12, 0.03])
 
@@ -37,7 +44,7 @@ def _overlap(mask, truth):
 @pytest.mark.parametrize("noise", [None, DepthNoise(grazing_dropout=0.3)])
 def test_two_boxes_are_found_the_larger_first(noise):
     view = _scene([BIG, SMALL], noise=noise)
-    masks = segment_above_table(view.depth, CAMERA, X_WC, table_z_m=0.0)
+    masks = _clusters(view.depth)
     assert len(masks) == 2
     for mask, index in zip(masks, (1, 2), strict=True):
         assert _overlap(mask, view.mesh_index == index) > 0.8
@@ -45,14 +52,14 @@ def test_two_boxes_are_found_the_larger_first(noise):
 
 
 def test_an_empty_table_has_no_objects():
-    assert segment_above_table(_scene([]).depth, CAMERA, X_WC, table_z_m=0.0) == []
+    assert _clusters(_scene([]).depth) == []
 
 
 def test_a_depth_jump_separates_what_overlaps_in_the_image():
     # seen from the side, the small box stands before the big one and hides a part of it
     side = look_at(np.array([0.6, 0.05, 0.35]), np.array([0.0, 0.0, 0.05]))
     view = _scene([([0.03, 0.06, 0.08], [-0.1, 0.0, 0.08]), ([0.03, 0.03, 0.03], [0.08, 0.0, 0.03])], X_WC=side)
-    masks = segment_above_table(view.depth, CAMERA, side, table_z_m=0.0)
+    masks = _clusters(view.depth, side)
     assert len(masks) == 2
     assert not any((m & (view.mesh_index == 1)).any() and (m & (view.mesh_index == 2)).any() for m in masks)
 
@@ -64,17 +71,17 @@ def test_a_slanted_edge_does_not_leak_through_diagonal_neighbours():
     row, column = np.indices((41, 41))
     for slant in (row + column < 40, row - column < 0, row + column > 41, 2 * row + column < 60):
         depth = np.where(slant, 0.9, 0.8)
-        masks = segment_above_table(depth, intrinsics, down, table_z_m=0.0)
+        masks = _clusters(depth, down, intrinsics)
         assert len(masks) == 2
         assert all(np.ptp(depth[m]) == 0 for m in masks)
 
 
 def test_height_band_and_least_size_are_kept():
     view = _scene([BIG, SMALL])
-    assert len(segment_above_table(view.depth, CAMERA, X_WC, table_z_m=0.0, min_height_m=0.07)) == 1
-    assert len(segment_above_table(view.depth, CAMERA, X_WC, table_z_m=0.0, max_height_m=0.05, min_pixels=1)) >= 2
-    sizes = [m.sum() for m in segment_above_table(view.depth, CAMERA, X_WC, table_z_m=0.0)]
-    assert len(segment_above_table(view.depth, CAMERA, X_WC, table_z_m=0.0, min_pixels=int(sizes[1]) + 1)) == 1
+    assert len(_clusters(view.depth, min_height_m=0.07)) == 1
+    assert len(_clusters(view.depth, max_height_m=0.05, min_pixels=1)) >= 2
+    sizes = [m.sum() for m in _clusters(view.depth)]
+    assert len(_clusters(view.depth, min_pixels=int(sizes[1]) + 1)) == 1
     assert sizes == sorted(sizes, reverse=True)
 
 
@@ -84,11 +91,12 @@ def test_pixels_without_a_measurement_belong_to_nothing_and_cut_nothing(nothing)
     view = _scene([BIG])
     depth = view.depth.copy()
     depth[::7, ::5] = nothing
-    (mask,) = segment_above_table(depth, CAMERA, X_WC, table_z_m=0.0)
+    (mask,) = _clusters(depth)
     assert not mask[::7, ::5].any()
     assert _overlap(mask, view.mesh_index == 1) > 0.8
 
 
-def test_an_image_of_another_size_is_refused():
-    with pytest.raises(InputError, match="150 x 200"):
-        segment_above_table(np.zeros((200, 150)), CAMERA, X_WC, table_z_m=0.0)
+def test_a_camera_below_the_table_is_refused():
+    frame = Frame(_scene([BIG]).depth, CAMERA)
+    with pytest.raises(InputError, match="below the table's top"):
+        find_clusters(frame, Plane(np.array([0.0, -1.0, 0.0]), -0.2))
