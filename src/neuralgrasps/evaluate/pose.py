@@ -1,17 +1,26 @@
-"""Errors of an estimated object pose, modulo the object's own symmetry."""
+"""Errors of an estimated object pose, modulo the object's own symmetry, and scores over many of them."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
-from neuralgrasps.errors import check_shape
+from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.geometry.mesh import convex_hull
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.symmetry import SymmetryGroup
 
+VISIBILITY_BANDS: tuple[tuple[float, float], ...] = ((0.0, 0.25), (0.25, 0.45), (0.45, 0.65), (0.65, 0.80), (0.80, 1.0))
+"""Shares of the object's own pixels that are visible, for scores by visibility; the upper end belongs to a band."""
+_AUC_M = 0.10  # Xiang et al. 2018
+_BOP_THRESHOLDS = np.arange(0.05, 0.501, 0.05)  # diameters; Hodan et al. 2020
+_ROWS = 1024  # of a matrix of distances at a time
 _BALL = 100  # no group about one axis has as many samples; so many rotations about no single axis are those of a ball
 
 
@@ -32,6 +41,71 @@ class PoseErrors:
     mssd_m: float
     rotation_rad: float
     translation_m: float
+
+
+FAILED = PoseErrors(add_s_m=math.inf, mssd_m=math.inf, rotation_rad=math.inf, translation_m=math.inf)
+"""The errors of an estimator that gave no pose."""
+
+
+def diameter_m(obj: ObjectModel) -> float:
+    """The largest distance of two points of an object, exact: between vertices of its hull; metres."""
+    corners = convex_hull(obj.mesh.vertices)[0]
+    return max(float(cdist(corners[i : i + _ROWS], corners).max()) for i in range(0, len(corners), _ROWS))
+
+
+def score_poses(errors: Sequence[PoseErrors], diameters_m: Sequence[float]) -> dict[str, float]:
+    """Scores over N estimates; a failed one counts as infinitely far off.
+
+    Args:
+        errors: N errors. diameters_m: N diameters of the objects.
+    Returns:
+        count: N.
+        add_s_auc: percent, area under the share of estimates below a threshold of ADD-S from 0 to 10 cm, exact:
+            the mean of max(0, 1 - ADD-S / 10 cm).
+        under_5mm, under_1cm: share with a smaller ADD-S.
+        mssd_01d: share with an MSSD below a tenth of the diameter.
+        ar_mssd: mean share with an MSSD below .05, .10, ... .50 diameters (BOP's average recall of MSSD).
+        add_s_median_mm, mssd_median_mm, rotation_median_deg, translation_median_mm: medians; inf when half failed.
+    Raises:
+        InputError: no estimate, or another number of diameters.
+    Source:
+        Xiang et al. 2018 (area under the curve to 10 cm), with ADD-S to the exact surface; Hodan et al. 2020 (MSSD).
+    """
+    if not errors or len(errors) != len(diameters_m):
+        raise InputError(
+            f"score_poses got {len(errors)} errors, {len(diameters_m)} diameters; expected N of each, N > 0."
+        )
+    add_s, mssd, rotation, translation = np.array(
+        [(e.add_s_m, e.mssd_m, e.rotation_rad, e.translation_m) for e in errors]
+    ).T
+    relative = mssd / np.asarray(diameters_m, np.float64)
+    return {
+        "count": float(len(errors)),
+        "add_s_auc": float(100.0 * np.maximum(0.0, 1.0 - add_s / _AUC_M).mean()),
+        "under_5mm": float((add_s < 0.005).mean()),
+        "under_1cm": float((add_s < 0.01).mean()),
+        "mssd_01d": float((relative < 0.1).mean()),
+        "ar_mssd": float((relative[:, None] < _BOP_THRESHOLDS).mean()),
+        "add_s_median_mm": float(1e3 * np.median(add_s)),
+        "mssd_median_mm": float(1e3 * np.median(mssd)),
+        "rotation_median_deg": float(np.rad2deg(np.median(rotation))),
+        "translation_median_mm": float(1e3 * np.median(translation)),
+    }
+
+
+def score_by_visibility(
+    errors: Sequence[PoseErrors], diameters_m: Sequence[float], visible_shares: Sequence[float]
+) -> dict[str, dict[str, float]]:
+    """`score_poses` for each of the `VISIBILITY_BANDS` that holds estimates, under names such as "25-45"."""
+    shares = np.asarray(visible_shares, np.float64)
+    scores = {}
+    for low, high in VISIBILITY_BANDS:
+        chosen = np.nonzero((shares > low) & (shares <= high))[0]
+        if len(chosen):
+            scores[f"{100 * low:.0f}-{100 * high:.0f}"] = score_poses(
+                [errors[i] for i in chosen], [diameters_m[i] for i in chosen]
+            )
+    return scores
 
 
 def pose_errors(obj: ObjectModel, X_CO: np.ndarray, X_CO_true: np.ndarray) -> PoseErrors:

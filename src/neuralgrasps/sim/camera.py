@@ -12,21 +12,55 @@ from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.seeds import child_rng
 
+_EDGE_M = 0.008  # neighbours farther apart than this, and than their slopes explain, lie on two surfaces
+_WAVES = 4  # of the smooth bias
+_WAVE_WIDTHS = (0.4, 1.2)  # their lengths, image widths
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthNoise:
     """Errors of a structured-light or stereo depth camera.
+
+    Such a camera measures disparity, the inverse of depth, so that a constant error there is one that grows with the
+    square of depth. Depth edges are modelled on their own: the sample of a pixel wanders by `lateral_px`, a pixel on
+    the edge may see both surfaces and report a depth between them ("flying pixel"), or nothing.
 
     Attributes:
         axial_m: standard deviation along the ray at 1 m; it grows with the square of the depth.
         step_m: quantisation at 1 m, growing with the square of the depth; 0 = none.
         grazing_dropout: share of pixels lost where the surface is seen edge-on (at 90 degrees; below, it falls with the
             eighth power of the sine).
+        edge_dropout: share of the pixels beside a depth edge that are lost.
+        flying: share of the pixels beside a depth edge that report a depth between the two surfaces.
+        lateral_px: standard deviation of the sampling position, pixels; in metres it grows with depth.
+        baseline_m: distance of the projector or second eye, to the right of the camera; what it cannot see, such as a
+            band of background to the left of a near object, is not measured. 0 = no such shadow.
+        white_m: standard deviation of further independent noise, the same at all depths.
+        scale_error: relative error of all depths, e.g. 0.003 for 0.3 % too far.
+        bias_m: amplitude of a smooth error over the image: four waves, 0.4 to 1.2 image widths long, together as large
+            in the mean square as one wave of this amplitude.
+    Source:
+        Khoshelham and Elberink 2012 (first Kinect: deviation 1.4 mm and step 2.9 mm at 1 m, both growing with z^2,
+        baseline 75 mm); Nguyen, Izadi and Lovell 2012 (lateral deviation 0.8 pixels at any depth);
+        Handa et al. 2014 (lateral jitter 0.5 pixels before quantised disparity).
     """
 
     axial_m: float = 0.0015
     step_m: float = 0.001
     grazing_dropout: float = 0.8
+    edge_dropout: float = 0.5
+    flying: float = 0.0
+    lateral_px: float = 0.0
+    baseline_m: float = 0.0
+    white_m: float = 0.0
+    scale_error: float = 0.0
+    bias_m: float = 0.0
+
+
+STRUCTURED_LIGHT = DepthNoise(
+    axial_m=0.0015, step_m=0.0029, edge_dropout=0.3, flying=0.3, lateral_px=0.5, baseline_m=0.075
+)
+"""A camera of the first Kinect's kind; the sources of the figures are those of `DepthNoise`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,21 +92,99 @@ def render_depth_view(
     image = rasterise(list(meshes), np.linalg.inv(X_WC) @ X_WM, intrinsics)
     depth = np.where(np.isfinite(image.depth), image.depth, 0.0).astype(np.float64)
     if noise is not None:
-        depth = _sense(depth, intrinsics, noise, child_rng(seed, "depth noise"))
+        depth = _sense(depth, intrinsics, noise, seed)
     return DepthView(
         depth=depth.astype(np.float32), mesh_index=image.mesh_index, intrinsics=intrinsics, X_WC=np.asarray(X_WC)
     )
 
 
-def _sense(depth: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, rng: np.random.Generator) -> np.ndarray:
-    seen = depth > 0
-    out = depth + rng.standard_normal(depth.shape) * noise.axial_m * depth**2
+def _sense(depth: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, seed: int) -> np.ndarray:
+    """What the sensor reports for exact depths (h, w); 0 = nothing."""
+    rng = child_rng(seed, "depth noise")
+    beside, across = _depth_edges(depth)
+    loss = np.where(beside, noise.edge_dropout, noise.grazing_dropout * _edge_on(depth, intrinsics) ** 8)
+    seen = (depth > 0) & (_lit(depth, intrinsics, noise.baseline_m) if noise.baseline_m else True)
+    if noise.flying:
+        depth = _fly(depth, beside & (across > 0), across, noise.flying, child_rng(seed, "flying pixels"))
+    if noise.lateral_px:
+        source = _jitter(depth.shape, noise.lateral_px, child_rng(seed, "lateral noise"))
+        depth, loss, seen = (image.ravel()[source] for image in (depth, loss, seen))
+    out = depth + rng.standard_normal(depth.shape) * np.hypot(noise.axial_m * depth**2, noise.white_m)
+    if noise.scale_error or noise.bias_m:
+        out = out * (1.0 + noise.scale_error) + _smooth_field(depth.shape, child_rng(seed, "bias")) * noise.bias_m
     if noise.step_m > 0:
         step = np.maximum(noise.step_m * depth**2, 1e-6)
         out = np.round(out / step) * step
-    # tan of the viewing angle from the depth slope across one pixel
-    slope_y, slope_x = np.gradient(depth)
-    slope = np.hypot(slope_x * intrinsics.fx, slope_y * intrinsics.fy) / np.maximum(depth, 1e-6)
-    edge_on = slope / np.sqrt(1.0 + slope**2)
-    lost = rng.random(depth.shape) < noise.grazing_dropout * edge_on**8
+    lost = rng.random(depth.shape) < loss
     return np.where(seen & ~lost, np.maximum(out, 0.0), 0.0)
+
+
+def _edge_on(depth: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
+    """Sine of the angle between the view and the surface's normal, from the slope of depth over the pixels."""
+    slope_y, slope_x = np.gradient(depth)
+    square = ((slope_x * intrinsics.fx) ** 2 + (slope_y * intrinsics.fy) ** 2) / np.maximum(depth, 1e-6) ** 2
+    return np.sqrt(square / (1.0 + square))
+
+
+def _depth_edges(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels beside a depth edge (h, w) bool, and the depth on its other side (0 = none, or nothing there).
+
+    The inverse depth of a plane is linear over the image, so that a step there that is twice that of the neighbouring
+    pixels is no slope, however steep.
+    """
+    beside, across = np.zeros(depth.shape, bool), np.zeros(depth.shape)
+    for z, mark, other in ((depth.T, beside.T, across.T), (depth, beside, across)):  # rows last: they win
+        inverse = np.divide(1.0, z, out=np.zeros(z.shape), where=z > 0)
+        step = np.abs(np.diff(inverse, axis=1))
+        slope = np.minimum(
+            np.pad(step[:, :-1], ((0, 0), (1, 0)), mode="edge"), np.pad(step[:, 1:], ((0, 0), (0, 1)), mode="edge")
+        )
+        edge = (np.abs(np.diff(z, axis=1)) > _EDGE_M) & (step > 2.0 * slope)
+        mark[:, :-1] |= edge
+        mark[:, 1:] |= edge
+        np.copyto(other[:, :-1], z[:, 1:], where=edge)
+        np.copyto(other[:, 1:], z[:, :-1], where=edge)
+    return beside, across
+
+
+def _lit(depth: np.ndarray, intrinsics: Intrinsics, baseline_m: float) -> np.ndarray:
+    """Pixels that a projector at (baseline_m, 0, 0) of the camera frame sees too.
+
+    Its column of a pixel is u - fx * baseline / z. Along a row that no surface hides it grows; where a pixel further
+    right has a smaller one, a nearer surface stands in between.
+    """
+    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=depth > 0)
+    column = np.arange(depth.shape[1]) - intrinsics.fx * baseline_m * inverse
+    return column <= np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
+
+
+def _fly(
+    depth: np.ndarray, beside: np.ndarray, across: np.ndarray, share: float, rng: np.random.Generator
+) -> np.ndarray:
+    """Replace a share of the pixels beside an edge by depths between its two sides."""
+    row, column = np.nonzero(beside)
+    chosen = rng.random(len(row)) < share
+    row, column = row[chosen], column[chosen]
+    weight = rng.random(len(row))
+    out = depth.copy()
+    out[row, column] = (1.0 - weight) * depth[row, column] + weight * across[row, column]
+    return out
+
+
+def _jitter(shape: tuple[int, int], deviation_px: float, rng: np.random.Generator) -> np.ndarray:
+    """(h, w) flat index of the pixel whose ray each pixel measures."""
+    shift = np.rint(rng.standard_normal((2, *shape)) * deviation_px).astype(np.int64)
+    row = np.clip(np.arange(shape[0])[:, None] + shift[0], 0, shape[0] - 1)
+    column = np.clip(np.arange(shape[1]) + shift[1], 0, shape[1] - 1)
+    return row * shape[1] + column
+
+
+def _smooth_field(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+    """(h, w) sum of plane waves with a mean square of 1/2 on average."""
+    weight = rng.standard_normal(_WAVES)
+    weight /= np.linalg.norm(weight)
+    length, angle, phase = rng.uniform(*_WAVE_WIDTHS, _WAVES) * shape[1], *rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
+    kx, ky = 2.0 * np.pi * np.array([np.cos(angle), np.sin(angle)]) / length
+    along_x = np.exp(1j * np.arange(shape[1])[:, None] * kx)
+    along_y = weight * np.exp(1j * (np.arange(shape[0])[:, None] * ky + phase))
+    return (along_y @ along_x.T).real
