@@ -79,7 +79,11 @@ def test_a_slanted_edge_does_not_leak_through_diagonal_neighbours():
 def test_height_band_and_least_size_are_kept():
     view = _scene([BIG, SMALL])
     assert len(_clusters(view.depth, min_height_m=0.07)) == 1
-    assert len(_clusters(view.depth, max_height_m=0.05, min_pixels=1)) >= 2
+    tallest = max(_clusters(view.depth, max_height_m=0.09), key=lambda m: m[view.mesh_index == 1].sum())
+    assert Frame(view.depth, CAMERA).height(horizontal_plane(0.0, X_WC))[tallest].max() == pytest.approx(
+        0.09, abs=0.003
+    )
+    assert _clusters(view.depth, max_height_m=0.02) == []  # most of what stands there lies above
     sizes = [m.sum() for m in _clusters(view.depth)]
     assert len(_clusters(view.depth, min_pixels=int(sizes[1]) + 1)) == 1
     assert sizes == sorted(sizes, reverse=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.camera import back_project
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.table import TableExtent, table_extent
@@ -24,8 +25,9 @@ class ClusterConfig:
             and more by what a surface slanted by `slant_deg` changes from one pixel to the next.
         slant_deg: see there, degrees.
         min_pixels: smaller clusters are dropped.
-        margin_m: clusters may reach this far beyond the table's outline; at least half of one lies within it.
-        below_share: clusters of which more than this share goes on below the table, as a chair behind it, are dropped.
+        margin_m: clusters reach at most this far beyond the table's outline: what stands at its edge hides the edge.
+        least_share: of a connected surface lies above the table, below `max_height_m` and within the margin; a wall and
+            the back of a chair go on elsewhere.
     """
 
     min_height_m: float = 0.006
@@ -33,8 +35,8 @@ class ClusterConfig:
     jump_m: float = 0.008
     slant_deg: float = 78.0
     min_pixels: int = 50
-    margin_m: float = 0.05
-    below_share: float = 0.2
+    margin_m: float = 0.12
+    least_share: float = 0.35
 
 
 def find_clusters(
@@ -62,30 +64,28 @@ def find_clusters(
         extent = table_extent(frame, table)
     k = frame.intrinsics
     height = frame.height(table)
-    outside = np.full(height.shape, -np.inf)
     with np.errstate(invalid="ignore"):
         low = config.min_height_m * np.maximum(frame.depth, 1.0) ** 2
         above = (height > low) & (height < config.max_height_m)
-        part = above | (height < -2.0 * low)
-    if extent is not None:
-        outside[part] = extent.outside_m(frame.points[part])
-        part &= outside < config.margin_m
-        above &= part
+        surface = above | (height < -2.0 * low) | (height >= config.max_height_m)
     slope = np.tan(np.deg2rad(config.slant_deg)) / np.sqrt(k.fx * k.fy)
-    labels = _labelled(frame.depth, part, config.jump_m, slope)
-    return _kept(labels, above, outside < 0.0, config)
+    labels = _labelled(frame.depth, surface, config.jump_m, slope)
+    outside = np.full(height.shape, -np.inf)
+    if extent is not None:
+        outside[above] = extent.outside_m(back_project(frame.depth, k, mask=above))
+    return _kept(labels, above & (outside < config.margin_m), outside < 0.0, config)
 
 
-def _kept(labels: np.ndarray, above: np.ndarray, inside: np.ndarray, config: ClusterConfig) -> list[np.ndarray]:
-    """Masks of the labels (1, 2, ...) that are large, above and within the table's outline; largest first."""
+def _kept(labels: np.ndarray, belongs: np.ndarray, inside: np.ndarray, config: ClusterConfig) -> list[np.ndarray]:
+    """Masks of the labels (1, 2, ...) by the pixels that may belong to a thing on the table; largest first."""
     total = np.bincount(labels.ravel())
-    up = np.bincount(labels[above], minlength=len(total))
-    within = np.bincount(labels[above & inside], minlength=len(total))
-    good = (up >= config.min_pixels) & (2 * within >= up) & (total - up <= config.below_share * total)
+    size = np.bincount(labels[belongs], minlength=len(total))
+    within = np.bincount(labels[belongs & inside], minlength=len(total))
+    good = (size >= config.min_pixels) & (size >= config.least_share * total) & (within >= 0.05 * size)
     good[0] = False
     order = np.flatnonzero(good)
-    order = order[np.argsort(-up[order], kind="stable")]
-    return [(labels == label) & above for label in order]
+    order = order[np.argsort(-size[order], kind="stable")]
+    return [(labels == label) & belongs for label in order]
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,7 +22,9 @@ BAND_M, LEAST_BAND_M = 0.008, 0.003
 """Half width of the band around a plane, along the ray: at 1 m, growing with the square of the depth; and at least."""
 
 _CELLS = 160  # blocks across the image
-_HYPOTHESES, _SCORED = 160, 2500
+_HYPOTHESES, _SCORED = 128, 2000
+_LEAST_OF_FIRST = 0.05
+_FITTED = 30_000
 _SMOOTH = 0.006  # 1/m, rms of a local fit
 _ACROSS_COS = np.cos(np.deg2rad(30.0))
 
@@ -53,25 +55,26 @@ def image_cells(frame: Frame, farthest_m: float) -> Cells:
 
 
 def search_planes(cells: Cells, *, count: int, least: int, seed: int) -> list[np.ndarray]:
-    """Up to `count` planes w (3,), each on at least `least` blocks that no plane before it holds; most blocks first."""
+    """Up to `count` planes w (3,), each on at least `least` blocks that no plane before it holds; most blocks first.
+
+    Every hypothesis is the local plane of one block; the best of each round are refined by least squares. The search
+    ends where a plane holds less than `_LEAST_OF_FIRST` of what the first one does.
+    """
     rng = child_rng(seed, "planes")
-    free = (cells.local != 0).any(axis=-1)
+    row, column = np.nonzero(cells.local[..., 2])
+    data = np.concatenate([cells.ray[row, column], cells.inverse[row, column, None], cells.local[row, column]], axis=1)
     found: list[np.ndarray] = []
-    while len(found) < count:
-        row, column = np.nonzero(free)
-        if len(row) < least:
-            break
-        data = _columns(cells, row, column)
+    while len(found) < count and len(data) >= least:
         tried = data[rng.choice(len(data), min(_HYPOTHESES, len(data)), replace=False), 3:]
         scored = data[rng.choice(len(data), _SCORED, replace=False)] if len(data) > _SCORED else data
         votes = _votes(scored, tried, BAND_M, LEAST_BAND_M, _ACROSS_COS)
-        best = _refined(scored, tried[np.argsort(-votes, kind="stable")[:8]])
-        best = _refined(data, best[None])
+        best = _refined(data, _refined(scored, tried[np.argsort(-votes, kind="stable")[:4]])[None])
         held = _held(data, best, BAND_M, LEAST_BAND_M, _ACROSS_COS)
         if held.sum() < least:
             break
         found.append(best)
-        free[row[held], column[held]] = False
+        least = max(least, int(_LEAST_OF_FIRST * held.sum())) if len(found) == 1 else least
+        data = data[~held]
     return found
 
 
@@ -83,38 +86,32 @@ def plane_of(w: np.ndarray) -> Plane:
 
 def cells_on(cells: Cells, plane: Plane) -> np.ndarray:
     """(r, c) bool: blocks in the band around a plane and turned like it."""
-    row, column = np.nonzero((cells.local != 0).any(axis=-1))
-    out = np.zeros(cells.inverse.shape, bool)
     w = -plane.normal / plane.offset_m
-    out[row, column] = _held(_columns(cells, row, column), w, BAND_M, LEAST_BAND_M, _ACROSS_COS)
-    return out
+    return _cells_held(cells.inverse, cells.ray, cells.local, w, BAND_M, LEAST_BAND_M, _ACROSS_COS)
 
 
-def cell_heights(cells: Cells, plane: Plane) -> tuple[np.ndarray, np.ndarray]:
-    """Heights (r, c) above a plane and points (r, c, 3) of the blocks, camera frame, metres; NaN where not measured."""
+def cell_points(cells: Cells) -> np.ndarray:
+    """(r, c, 3) float64 points of the blocks, camera frame, metres; NaN where not measured."""
     z = 1.0 / np.where(cells.inverse > 0, cells.inverse, np.nan)
-    points = np.concatenate([cells.ray * z[..., None], z[..., None]], axis=-1)
-    return plane.height(points), points
+    return np.concatenate([cells.ray * z[..., None], z[..., None]], axis=-1)
 
 
-def fitted_plane(frame: Frame, plane: Plane, near: np.ndarray) -> tuple[Plane, float]:
-    """Plane refined on the pixels `near` (h, w) bool, and the rms height of its inliers, metres.
+def fitted_plane(frame: Frame, plane: Plane, near: np.ndarray) -> Plane:
+    """A plane refined on the pixels `near` (h, w) bool, of which at most `_FITTED` are used, evenly.
 
     Least squares in 1 / z, reweighted by Tukey's biweight at 4.7 times a robust standard deviation.
     """
     k = frame.intrinsics
-    row, column = np.nonzero(near & (frame.depth > 0))
+    pixels = np.flatnonzero(near & (frame.depth > 0))
+    pixels = pixels[:: -(-len(pixels) // _FITTED)]
+    row, column = np.divmod(pixels, k.width)
     x, y = (column - k.cx) / k.fx, (row - k.cy) / k.fy
-    inverse = 1.0 / frame.depth[row, column]
+    inverse = 1.0 / frame.depth.ravel()[pixels]
     w = -plane.normal / plane.offset_m
     for _ in range(3):
-        off = inverse - (w[0] * x + w[1] * y + w[2])
-        spread = max(1.4826 * float(np.median(np.abs(off))), 1e-6)
-        w = _weighted_fit(x, y, inverse, w, 4.685 * spread)
-    off = inverse - (w[0] * x + w[1] * y + w[2])
-    height = off / (inverse * np.linalg.norm(w))
-    kept = np.abs(off) < 4.685 * spread
-    return plane_of(w), float(np.sqrt(np.mean(height[kept] ** 2)))
+        off = np.abs(inverse - (w[0] * x + w[1] * y + w[2]))
+        w = _weighted_fit(x, y, inverse, w, max(4.685 * 1.4826 * float(np.median(off)), 1e-6))
+    return plane_of(w)
 
 
 def in_band(frame: Frame, plane: Plane) -> np.ndarray:
@@ -126,11 +123,6 @@ def in_band(frame: Frame, plane: Plane) -> np.ndarray:
 
 def _camera_array(k: Intrinsics) -> np.ndarray:
     return np.array([k.fx, k.fy, k.cx, k.cy])
-
-
-def _columns(cells: Cells, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """(n, 6) x, y, 1 / z and the local w."""
-    return np.concatenate([cells.ray[row, column], cells.inverse[row, column, None], cells.local[row, column]], axis=1)
 
 
 def _refined(data: np.ndarray, w: np.ndarray) -> np.ndarray:
@@ -257,6 +249,18 @@ def _held(data, plane, band, least_band, across_cos):  # type: ignore[no-untyped
     for i in range(len(data)):
         x, y, q, u0, u1, u2 = data[i]
         out[i] = _holds(x, y, q, u0, u1, u2, w0, w1, w2, band, least_band, across_cos)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _cells_held(inverse, ray, local, plane, band, least_band, across_cos):  # type: ignore[no-untyped-def]
+    out = np.zeros(inverse.shape, np.bool_)
+    w0, w1, w2 = plane
+    for r in range(inverse.shape[0]):
+        for c in range(inverse.shape[1]):
+            x, y, q = ray[r, c, 0], ray[r, c, 1], inverse[r, c]
+            u0, u1, u2 = local[r, c]
+            out[r, c] = q > 0.0 and _holds(x, y, q, u0, u1, u2, w0, w1, w2, band, least_band, across_cos)
     return out
 
 

@@ -14,7 +14,7 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.plane_search import (
     Cells,
-    cell_heights,
+    cell_points,
     cells_on,
     fitted_plane,
     image_cells,
@@ -23,7 +23,7 @@ from neuralgrasps.perception.plane_search import (
     search_planes,
 )
 
-_PLANES = 8
+_PLANES = 6
 _LEAST_SHARE = 0.005  # of the image's blocks: a smaller plane is no table
 _LEAST_AREA_M2 = 0.03
 _THING_M = (0.015, 0.4)  # heights of what stands on a table
@@ -109,16 +109,16 @@ def find_table(frame: Frame, *, max_depth_m: float | None = None, seed: int = 0)
     cells = image_cells(frame, np.inf if max_depth_m is None else max_depth_m)
     least = max(20, int(_LEAST_SHARE * cells.inverse.size))
     planes = [plane_of(w) for w in search_planes(cells, count=_PLANES, least=least, seed=seed)]
-    found = [c for c in (_judged(cells, plane) for plane in planes) if c is not None]
+    points = cell_points(cells)
+    found = [c for c in (_judged(cells, points, plane) for plane in planes) if c is not None]
     best = _chosen(frame, found, max_depth_m)
     near = _enlarged(best.main, cells.step, frame.depth.shape)
-    plane, _ = fitted_plane(frame, best.plane, near & in_band(frame, best.plane))
+    plane = fitted_plane(frame, best.plane, near & in_band(frame, best.plane))
     mask = near & in_band(frame, plane)
-    plane, rms_m = fitted_plane(frame, plane, mask)
     return TableFit(
         plane=plane,
         inlier_share=float(mask.sum() / (frame.depth > 0).sum()),
-        rms_m=rms_m,
+        rms_m=float(np.sqrt(np.mean(frame.height(plane)[mask] ** 2))),
         mask=mask,
         extent=best.extent,
     )
@@ -130,25 +130,23 @@ def table_extent(frame: Frame, plane: Plane) -> TableExtent | None:
     Args:
         plane: the table's top, camera frame, normal up.
     """
-    seen = _seen_part(image_cells(frame, np.inf), plane)
+    cells = image_cells(frame, np.inf)
+    seen = _seen_part(cells, cell_points(cells), plane)
     return None if seen is None else seen[1]
 
 
-def _judged(cells: Cells, plane: Plane) -> _Candidate | None:
-    seen = _seen_part(cells, plane)
+def _judged(cells: Cells, points: np.ndarray, plane: Plane) -> _Candidate | None:
+    seen = _seen_part(cells, points, plane)
     if seen is None:
         return None
     main, extent = seen
-    height, points = cell_heights(cells, plane)
+    height = plane.height(points)
     above = (height > _THING_M[0]) & (height < _THING_M[1])
     above[above] = extent.outside_m(points[above]) < 0.0
-    labels, count = ndimage.label(above, np.ones((3, 3)))
-    things = 0
-    if count:
-        index = np.arange(1, count + 1)
-        sizes = ndimage.sum_labels(above, labels, index)
-        foot = ndimage.minimum(height, labels, index)
-        things = int(sizes[(sizes >= 6) & (foot < _FOOT_M)].sum())
+    labels, _ = ndimage.label(above, np.ones((3, 3)))
+    sizes = np.bincount(labels[above], minlength=2)
+    stands = np.bincount(labels[above & (height < _FOOT_M)], minlength=len(sizes)) > 0
+    things = int(sizes[(sizes >= 6) & stands].sum())
     return _Candidate(plane, main, extent, main.sum() / main.size, things / main.size)
 
 
@@ -192,20 +190,20 @@ def _level(frame: Frame, found: list[_Candidate]) -> list[_Candidate]:
     )
 
 
-def _seen_part(cells: Cells, plane: Plane) -> tuple[np.ndarray, TableExtent] | None:
+def _seen_part(cells: Cells, points: np.ndarray, plane: Plane) -> tuple[np.ndarray, TableExtent] | None:
     """The largest connected part of a plane with the parts near it, as blocks (r, c) bool, and their outline."""
-    on = ndimage.binary_opening(cells_on(cells, plane), np.ones((3, 3)))
-    labels, count = ndimage.label(on, np.ones((3, 3)))
+    labels, count = ndimage.label(ndimage.binary_opening(cells_on(cells, plane), np.ones((3, 3))), np.ones((3, 3)))
     if not count:
         return None
-    _, points = cell_heights(cells, plane)
-    sizes = ndimage.sum_labels(on, labels, np.arange(1, count + 1))
+    sizes = np.bincount(labels.ravel())[1:]
     order = np.argsort(-sizes, kind="stable") + 1
     main = labels == order[0]
     extent = _outline(points[main], plane)
     if extent is None:
         return None
-    for label in order[1:20]:
+    for label in order[1:8]:
+        if sizes[label - 1] < 0.02 * sizes[order[0] - 1]:
+            break
         part = labels == label
         if np.percentile(extent.outside_m(points[part]), 5) < _JOIN_M:
             main |= part
@@ -222,7 +220,7 @@ def _outline(points_C: np.ndarray, plane: Plane) -> TableExtent | None:
         hull = ConvexHull(points_C @ axes.T)
     except (QhullError, ValueError):
         return None
-    return TableExtent(axes, np.ascontiguousarray(np.unique(hull.equations, axis=0)), float(hull.volume))
+    return TableExtent(axes, np.ascontiguousarray(hull.equations), float(hull.volume))
 
 
 def _enlarged(blocks: np.ndarray, step: int, shape: tuple[int, int]) -> np.ndarray:
