@@ -100,7 +100,7 @@ def score_by_visibility(
     shares = np.asarray(visible_shares, np.float64)
     scores = {}
     for low, high in VISIBILITY_BANDS:
-        chosen = np.nonzero((shares > low) & (shares <= high))[0]
+        chosen = np.nonzero((shares > low) & (shares <= high))[0].tolist()
         if len(chosen):
             scores[f"{100 * low:.0f}-{100 * high:.0f}"] = score_poses(
                 [errors[i] for i in chosen], [diameters_m[i] for i in chosen]

@@ -21,7 +21,7 @@ _GAP_M = 0.003  # things keep at least this far apart
 _EYE_M = 0.2  # nothing hangs nearer to the camera
 _BESIDE_M = 0.12  # how much farther than touching it a thing may stand from the object
 _LAYOUTS = 25
-_TOLERANCE = 0.01
+_TOLERANCE = 0.015
 _HANGING = 0.4
 _POINTS = 512
 
@@ -33,21 +33,14 @@ class Body:
     Attributes:
         mesh: its surface, own frame, metres. points: (P, 3) spread over it.
         distance: signed distances (P,) of points (P, 3) to it, or less; metres.
+        centre: (3,) middle of the bounding box. radius_m: of the ball about it through the box's corners.
     """
 
     mesh: Mesh
     points: np.ndarray
     distance: Callable[[np.ndarray], np.ndarray]
-
-    @property
-    def centre(self) -> np.ndarray:
-        """(3,) middle of the bounding box."""
-        return 0.5 * (self.mesh.bounds[0] + self.mesh.bounds[1])
-
-    @property
-    def radius_m(self) -> float:
-        """Of the ball about `centre` through the corners of the bounding box."""
-        return float(0.5 * np.linalg.norm(self.mesh.extents))
+    centre: np.ndarray
+    radius_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,16 +68,21 @@ class Placed:
         )
 
 
+def _body(mesh: Mesh, points: np.ndarray, distance: Callable[[np.ndarray], np.ndarray]) -> Body:
+    low, high = mesh.bounds
+    radius = float(0.5 * np.linalg.norm(high - low))
+    return Body(mesh=mesh, points=points, distance=distance, centre=0.5 * (low + high), radius_m=radius)
+
+
 def body_of(obj: ObjectModel) -> Body:
     """A library object as a body."""
     step = max(1, len(obj.points_O) // _POINTS)
-    return Body(mesh=obj.mesh, points=obj.points_O[::step], distance=lambda p: query_grid_numpy(obj.sdf, p))
+    return _body(obj.mesh, obj.points_O[::step], lambda p: query_grid_numpy(obj.sdf, p))
 
 
 def body_of_mesh(mesh: Mesh, *, seed: int) -> Body:
     """Any mesh as a body without a distance of its own: only its points keep clear of others."""
-    points = sample_surface(mesh, _POINTS, seed)[0]
-    return Body(mesh=mesh, points=points, distance=lambda p: np.full(len(p), np.inf))
+    return _body(mesh, sample_surface(mesh, _POINTS, seed)[0], lambda p: np.full(len(p), np.inf))
 
 
 def random_primitive(rng: np.random.Generator) -> Body:
@@ -95,13 +93,7 @@ def random_primitive(rng: np.random.Generator) -> Body:
         mesh = cylinder_mesh(rng.uniform(0.015, 0.06), rng.uniform(0.025, 0.15), segments=48)
     planes = hull_planes(mesh.vertices, mesh.faces)
     points = sample_surface(mesh, _POINTS, int(rng.integers(2**31)))[0]
-    return Body(mesh=mesh, points=points, distance=lambda p: (p @ planes[:, :3].T + planes[:, 3]).max(axis=1))
-
-
-def resting_pose(vertices: np.ndarray, com: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A random stable pose (4, 4) on z = 0, as likely as a fall onto it, turned at random about the vertical."""
-    poses, shares = resting_poses(vertices, com)
-    return turn_z(rng.uniform(0.0, 2.0 * np.pi)) @ poses[rng.choice(len(poses), p=shares)]
+    return _body(mesh, points, lambda p: (p @ planes[:, :3].T + planes[:, 3]).max(axis=1))
 
 
 def turn_z(angle_rad: float) -> np.ndarray:
@@ -118,7 +110,7 @@ def hide(
     rng: np.random.Generator,
     distractors: Sequence[ObjectModel] = (),
 ) -> tuple[Placed, ...] | None:
-    """One to three things that leave `share` of the target's pixels visible, within 0.01.
+    """One to three things that leave `share` of the target's pixels visible, within 0.015.
 
     Things stand on z = 0 or, four in ten, hang in the air in front; they are library objects when some are given,
     else boxes and cylinders. None goes through another one. All are drawn at random; the first one is then slid
@@ -144,7 +136,7 @@ def hide(
 
 
 def _crossing(rising: Callable[[float], float], wanted: float) -> float | None:
-    """Where in [0, 1] a function is within 0.01 of `wanted`, by bisection; None when it is not found."""
+    """Where in [0, 1] a function is within 0.015 of `wanted`, by bisection; None when it is not found."""
     low, high = 0.0, 1.0
     if rising(low) > wanted + _TOLERANCE or rising(high) < wanted - _TOLERANCE:
         return None
@@ -210,7 +202,7 @@ class _Thing:
 
 def _draw(distractors: Sequence[ObjectModel], rng: np.random.Generator) -> _Thing:
     hangs = bool(rng.random() < _HANGING)
-    obj = distractors[rng.integers(len(distractors))] if len(distractors) else None
+    obj = distractors[int(rng.integers(len(distractors)))] if len(distractors) else None
     body = random_primitive(rng) if obj is None else body_of(obj)
     if hangs:
         R = Rotation.random(_LAYOUTS, rng=rng).as_matrix()
@@ -238,7 +230,7 @@ def _in_the_air(
     """A place near the line of sight between target and camera, and a unit direction across it."""
     sight = X_WC[:3, 3] - target.centre_W
     distance = float(np.linalg.norm(sight))
-    far = max(distance - _EYE_M - body.radius_m, 0.3 * distance)
+    far = max(min(0.5 * distance, distance - _EYE_M - body.radius_m), 0.3 * distance)
     along = rng.uniform(min(target.body.radius_m, far), far)
     angle = rng.uniform(0.0, 2.0 * np.pi)
     beside = X_WC[:3, :2] @ rng.uniform(-0.3, 0.3, 2) * target.body.radius_m

@@ -10,12 +10,13 @@ import numpy as np
 from scipy import ndimage
 
 from neuralgrasps.errors import InputError, unknown_name
-from neuralgrasps.evaluate.pose_occluders import Placed, body_of, hide, own_depth, resting_pose
+from neuralgrasps.evaluate.pose_occluders import Placed, body_of, hide, own_depth, turn_z
 from neuralgrasps.evaluate.pose_room import CAMERA, random_room, random_view
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.plane import Plane, horizontal_plane
 from neuralgrasps.geometry.se3_numpy import transform_points_np
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.objects.resting import resting_poses
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.seeds import child_rng, child_seed
 from neuralgrasps.sim.camera import STRUCTURED_LIGHT, render_depth_view
@@ -44,7 +45,8 @@ class PoseScene:
         true_mask: (h, w) bool, pixels on the object, measured or not.
         X_CO_true: (4, 4) the object's pose in the camera; nan for an unknown thing.
         table: the true table in the camera's frame.
-        visible_share: share of the pixels it would have alone that the object has.
+        visible_share: share of the pixels it would have alone that the object has, and that the sensor's projector
+            sees too: nothing is measured in the shadow that a thing in front throws beside itself.
         seed: the scene's.
     """
 
@@ -92,9 +94,11 @@ def pose_scene(
     if condition not in CONDITIONS:
         raise unknown_name("condition", condition, CONDITIONS)
     others = [other for other in distractors if other.name != obj.name]
+    body, (poses, shares) = body_of(obj), resting_poses(obj.mesh.vertices, obj.com_O)
     for attempt in range(_REDRAWS):
         rng = child_rng(seed, "pose scene", obj.name, attempt)
-        target = Placed(body=body_of(obj), X_WB=resting_pose(obj.mesh.vertices, obj.com_O, rng))
+        pose = poses[rng.choice(len(poses), p=shares)]
+        target = Placed(body=body, X_WB=turn_z(rng.uniform(0.0, 2.0 * np.pi)) @ pose)
         scene = _scene_of(target, obj.name, condition, seed=seed, rng=rng, others=others, intrinsics=intrinsics)
         if scene is not None:
             return scene
@@ -124,7 +128,7 @@ def _scene_of(
     room = random_room(rng, X_WC)
     things: tuple[Placed, ...] | None = ()
     if condition != "easy":
-        share = child_rng(seed, "visible share", name).uniform(VISIBLE[0] + 0.01, VISIBLE[1] - 0.01)
+        share = child_rng(seed, "visible share", name).uniform(VISIBLE[0] + 0.015, VISIBLE[1] - 0.015)
         things = hide(target, share=share, X_WC=X_WC, intrinsics=intrinsics, rng=rng, distractors=others)
     if things is None:
         return None
@@ -139,10 +143,10 @@ def _scene_of(
     )
     true_mask = view.mesh_index == 0
     own = np.isfinite(own_depth(target, X_WC, intrinsics))
-    visible = float(true_mask.sum() / max(own.sum(), 1))
+    visible = float((true_mask & view.lit).sum() / max(own.sum(), 1))
     X_CO = np.linalg.inv(X_WC) @ target.X_WB
-    given = spilled(true_mask, float(transform_points_np(X_CO, target.body.centre[None])[0, 2]), intrinsics)
-    mask = (given if condition == "hard" else true_mask) & (view.depth > 0)
+    distance = float(transform_points_np(X_CO, target.body.centre[None])[0, 2])
+    mask = (spilled(true_mask, distance, intrinsics) if condition == "hard" else true_mask) & (view.depth > 0)
     if mask.sum() < _MIN_PIXELS or (condition != "easy" and not VISIBLE[0] <= visible <= VISIBLE[1]):
         return None
     return PoseScene(

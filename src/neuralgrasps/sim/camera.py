@@ -29,7 +29,7 @@ class DepthNoise:
         axial_m: standard deviation along the ray at 1 m; it grows with the square of the depth.
         step_m: quantisation at 1 m, growing with the square of the depth; 0 = none.
         grazing_dropout: share of pixels lost where the surface is seen edge-on (at 90 degrees; below, it falls with the
-            eighth power of the sine).
+            sine to the power of `grazing_power`).
         edge_dropout: share of the pixels beside a depth edge that are lost.
         flying: share of the pixels beside a depth edge that report a depth between the two surfaces.
         lateral_px: standard deviation of the sampling position, pixels; in metres it grows with depth.
@@ -48,6 +48,7 @@ class DepthNoise:
     axial_m: float = 0.0015
     step_m: float = 0.001
     grazing_dropout: float = 0.8
+    grazing_power: float = 8.0
     edge_dropout: float = 0.5
     flying: float = 0.0
     lateral_px: float = 0.0
@@ -58,9 +59,9 @@ class DepthNoise:
 
 
 STRUCTURED_LIGHT = DepthNoise(
-    axial_m=0.0015, step_m=0.0029, edge_dropout=0.3, flying=0.3, lateral_px=0.5, baseline_m=0.075
+    axial_m=0.0015, step_m=0.0029, grazing_power=20.0, edge_dropout=0.3, flying=0.3, lateral_px=0.5, baseline_m=0.05
 )
-"""A camera of the first Kinect's kind; the sources of the figures are those of `DepthNoise`."""
+"""A camera of the first Kinect's kind, with the shorter baseline of later ones; sources as of `DepthNoise`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,11 +71,13 @@ class DepthView:
     Attributes:
         depth: (h, w) float32 z-depth, metres; 0 where nothing was measured.
         mesh_index: (h, w) int32, which mesh is seen, -1 for none (the truth, for masks).
+        lit: (h, w) bool, pixels that the projector or second eye sees too; all without one.
         intrinsics: the camera; X_WC: (4, 4) its pose.
     """
 
     depth: np.ndarray
     mesh_index: np.ndarray
+    lit: np.ndarray
     intrinsics: Intrinsics
     X_WC: np.ndarray
 
@@ -91,19 +94,25 @@ def render_depth_view(
     """Look at K meshes posed at `X_WM` (K, 4, 4) from `X_WC`; without `noise` the depth is exact."""
     image = rasterise(list(meshes), np.linalg.inv(X_WC) @ X_WM, intrinsics)
     depth = np.where(np.isfinite(image.depth), image.depth, 0.0).astype(np.float64)
+    lit = np.ones(depth.shape, bool)
     if noise is not None:
-        depth = _sense(depth, intrinsics, noise, seed)
+        if noise.baseline_m:
+            lit = _lit(depth, intrinsics, noise.baseline_m)
+        depth = _sense(depth, lit, intrinsics, noise, seed)
     return DepthView(
-        depth=depth.astype(np.float32), mesh_index=image.mesh_index, intrinsics=intrinsics, X_WC=np.asarray(X_WC)
-    )
+        depth=depth.astype(np.float32), mesh_index=image.mesh_index, lit=lit, intrinsics=intrinsics,
+        X_WC=np.asarray(X_WC),
+    )  # fmt: skip
 
 
-def _sense(depth: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, seed: int) -> np.ndarray:
+def _sense(depth: np.ndarray, lit: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, seed: int) -> np.ndarray:
     """What the sensor reports for exact depths (h, w); 0 = nothing."""
     rng = child_rng(seed, "depth noise")
     beside, across = _depth_edges(depth)
-    loss = np.where(beside, noise.edge_dropout, noise.grazing_dropout * _edge_on(depth, intrinsics) ** 8)
-    seen = (depth > 0) & (_lit(depth, intrinsics, noise.baseline_m) if noise.baseline_m else True)
+    loss = np.where(
+        beside, noise.edge_dropout, noise.grazing_dropout * _edge_on(depth, intrinsics) ** noise.grazing_power
+    )
+    seen = lit & (depth > 0)
     if noise.flying:
         depth = _fly(depth, beside & (across > 0), across, noise.flying, child_rng(seed, "flying pixels"))
     if noise.lateral_px:
