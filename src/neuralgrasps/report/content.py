@@ -177,6 +177,51 @@ class PoseFigure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FoundObject:
+    """One object found in a frame.
+
+    Attributes:
+        colour: "#rrggbb" of its lines in the picture.
+        confidence: probability that the pose is right, 0..1.
+        position_m, quaternion_wxyz: its frame in the camera frame.
+        residual_mm: median distance of the measured points to the model; explained_share: of them that lie on it.
+        position_sigma_mm, rotation_sigma_deg: one standard deviation in the least certain direction.
+        others: what other poses fit, in words.
+    """
+
+    object: str
+    colour: str
+    confidence: float
+    position_m: tuple[float, ...]
+    quaternion_wxyz: tuple[float, ...]
+    residual_mm: float | None = None
+    explained_share: float | None = None
+    position_sigma_mm: float | None = None
+    rotation_sigma_deg: float | None = None
+    others: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameFigure:
+    """One depth frame and what was found in it.
+
+    Attributes:
+        name: of the frame.
+        overlay: from `render_pose_overlay`; observed: its depth, from `render_relief`.
+        missing: objects that were looked for and not found.
+        note: anything else, such as the table or why nothing could be looked for. wall_s: time to find all.
+    """
+
+    name: str
+    overlay: np.ndarray
+    observed: np.ndarray
+    found: tuple[FoundObject, ...] = ()
+    missing: tuple[str, ...] = ()
+    note: str = ""
+    wall_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SynthesisRow:
     """One hand x object of the synthesis: counts, quality of the kept grasps, and cost.
 
@@ -296,6 +341,7 @@ class DemoReport:
     transfers: tuple[TransferFigure, ...] = ()
     latent_maps: tuple[LatentMap, ...] = ()
     poses: tuple[PoseFigure, ...] = ()
+    frames: tuple[FrameFigure, ...] = ()
     synthesis: tuple[SynthesisRow, ...] = ()
     dataset: tuple[tuple[str, str], ...] = ()
     model: tuple[ModelRow, ...] = ()

@@ -12,6 +12,7 @@ from neuralgrasps.files import write_whole
 from neuralgrasps.report.content import DemoReport, KeyFigure, Listing
 from neuralgrasps.report.latent_section import latent_section
 from neuralgrasps.report.palette import contact_gradient
+from neuralgrasps.report.pose_page import frames_section
 from neuralgrasps.report.sections import (
     PictureEncoder,
     contacts_section,
@@ -64,6 +65,7 @@ _TEXTS = {
     "pose": "Left, the depth image that the camera saw, near light and far dark. Right, the pose found in it: "
     "the lines of the object in colour; a white outline is the true pose. Errors are measured against it, "
     "up to the object's own symmetries.",
+    "frames": "",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
     "listings": "",
@@ -154,6 +156,7 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         ("transfer", "Transfer", bool(report.transfers), lambda: transfer_section(report.transfers, pictures)),
         ("latent", "Latent space", bool(report.latent_maps), lambda: latent_section(report.latent_maps, pictures)),
         ("pose", "Object pose", bool(report.poses), lambda: pose_section(report.poses, pictures)),
+        ("frames", "Frames", bool(report.frames), lambda: frames_section(report.frames, pictures)),
     ]
     sections = [(name, title, build()) for name, title, shown, build in builders if shown]
     numbers = _numbers(report)
