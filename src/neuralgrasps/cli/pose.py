@@ -1,192 +1,138 @@
-"""`neuralgrasps pose`: where a known object is, from points or a depth image."""
+"""`neuralgrasps pose`: where known objects are, in depth images or point clouds."""
 
 from __future__ import annotations
 
-import time
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from neuralgrasps.cli.models import warn_of_damage
-from neuralgrasps.cli.options import NamePath, OptionalFile, OptionalFloat, Unit, check_seed
-from neuralgrasps.cli.outputs import check_writable, make_parent
-from neuralgrasps.cli.terminal import Outcome, Terminal
+import tyro
+
+from neuralgrasps.cli.models import open_readable, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.options import Unit, check_seed
+from neuralgrasps.cli.outputs import check_writable
+from neuralgrasps.cli.pose_files import PoseFiles
+from neuralgrasps.cli.pose_find import Finding, find_in
+from neuralgrasps.cli.pose_input import Pending, PoseSource, SourceOptions, list_sources
+from neuralgrasps.cli.pose_show import frame_record, show_finding
+from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from neuralgrasps.geometry.camera import Intrinsics
     from neuralgrasps.objects.object_model import ObjectModel
-    from neuralgrasps.perception.pose import PoseResult
 
-# Spread of the points over the object's diagonal: less is a speck that fits anywhere, more cannot lie on it.
-_LEAST_SPREAD, _LARGEST_SPREAD = 0.08, 1.6
+ObjectNames = Annotated[
+    tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE|DIR ...", help_behavior_hint="(required)")
+]
+_NOTHING_GIVEN = PoseSource()
+OptionalOut = Annotated[Path | None, tyro.conf.arg(metavar="FILE.png|DIR", help_behavior_hint="(optional)")]
 
 
 def pose(
     terminal: Terminal,
-    object_name: NamePath,
+    objects: ObjectNames,
     /,
     *,
-    cloud: OptionalFile = None,
-    depth: OptionalFile = None,
-    mask: OptionalFile = None,
-    fx: OptionalFloat = None,
-    fy: OptionalFloat = None,
-    cx: OptionalFloat = None,
-    cy: OptionalFloat = None,
-    depth_scale: OptionalFloat = None,
-    cloud_scale: float = 1.0,
+    source: SourceOptions = _NOTHING_GIVEN,
+    track: bool = False,
     unit: Unit = "auto",
-    out: OptionalFile = None,
+    out: OptionalOut = None,
     seed: int = 0,
 ) -> Outcome:
-    """Find the pose of an object in a cloud of its visible points, or in a depth image.
+    """Find objects in depth images, or in a cloud of one object's points.
 
-    Prints X_CO, the object in the camera frame (x right, y down, z forward, metres). Exit code 1 when the points do
-    not fit the object.
+    Prints X_CO, the object in the camera frame (x right, y down, z forward, metres), with a confidence, its spread
+    and the other poses that fit. Several objects with a mask or cloud: says which one it is. Exit code 1 when nothing
+    is found.
 
     Args:
-        object_name: name of the object, or a mesh file.
-        cloud: points on the object in the camera frame: .ply, .npy or x y z text.
-        depth: depth image, 16-bit PNG or NPY; give the camera with fx, fy, cx, cy.
-        mask: image of the depth's size, not 0 where the object is.
-        fx: focal length, pixels.
-        fy: focal length, pixels; default fx.
-        cx: principal point, pixels; default the middle.
-        cy: principal point, pixels; default the middle.
-        depth_scale: units of the depth image per metre; default 1000 for whole numbers, 1 for floating ones.
-        cloud_scale: units of the cloud per metre.
-        unit: length unit of a mesh file.
-        out: PNG file, the pose drawn over the depth image.
-        seed: of the point subsampling.
+        objects: names of objects, groups such as ycb7, mesh files or folders of them.
+        track: the frames are a sequence: start each from the poses in the one before.
+        unit: length unit of mesh files.
+        out: picture of the poses over the image, or a folder for pictures, poses.json and index.html.
+        seed: of the search.
     """
-    from neuralgrasps.objects.zoo import load_object
-    from neuralgrasps.perception.pose import estimate_pose
-
     check_seed(seed)
-    if (cloud is None) == (depth is None):
-        raise InputError("give the observation with either --cloud FILE or --depth FILE.")
-    if out is not None:
-        check_writable(out)
-        if depth is None:
-            raise InputError("--out draws over a depth image; give --depth FILE instead of --cloud.")
-    image, camera = None, None
-    if depth is not None:
-        image, camera, points = _depth_points(depth, mask, depth_scale, (fx, fy, cx, cy))
-    else:
-        assert cloud is not None
-        points = _cloud_points(cloud, cloud_scale)
-    with terminal.progress("reading the object"):
-        obj = load_object(object_name, unit=unit)
-    warn_of_damage(terminal, [obj])
-    _check_extent(obj, points)
-    start = time.perf_counter()
-    with terminal.progress("searching"):
-        found = estimate_pose(obj, points, depth=image, intrinsics=camera, seed=seed)
-    record = pose_record(obj, found, points=len(points), wall_s=time.perf_counter() - start)
-    _show(terminal, record)
-    if out is not None and image is not None and camera is not None:
-        from neuralgrasps.report.figures import render_pose_overlay, save_picture
-
-        make_parent(out)
-        save_picture(out, render_pose_overlay(image, obj, found.X_CO, camera))
-        terminal.say(f"Picture: {out}")
-        record["picture"] = str(out)
-    return Outcome(result=record, exit_code=0 if found.converged else 1)
+    sources = list_sources(source)
+    _check_options(source, out, track=track)
+    models = _load(terminal, objects, unit)
+    files = None if out is None else PoseFiles(out, [obj.name for obj in models], frames=len(sources))
+    findings = _find_all(terminal, models, sources, source, seed=seed, track=track, files=files)
+    alone = len(models) == 1 and source.frames is None and (source.cloud is not None or source.mask is not None)
+    for finding, record in findings:
+        show_finding(terminal, finding, record, title=f"[{finding.name}]" if len(sources) > 1 else "", alone=alone)
+    found = sum(len(finding.found) for finding, _ in findings)
+    if len(sources) > 1:
+        terminal.say(f"{counted(found, 'object')} found in {counted(len(sources), 'frame')}.")
+    result: dict[str, Any] = {"frames": [record for _, record in findings], "found": found, "seed": seed}
+    if alone:
+        result |= findings[0][1]["objects"][0] | {"wall_s": findings[0][0].wall_s}
+    if files is not None:
+        result |= files.finish(terminal, result)
+    return Outcome(result=result, exit_code=0 if found else 1)
 
 
-def _depth_points(
-    path: Path, mask_path: Path | None, scale: float | None, camera: tuple[float | None, ...]
-) -> tuple[np.ndarray, Intrinsics, np.ndarray]:
-    """Depth image in metres, its camera, and the points of the mask."""
-    from neuralgrasps.cli.scan_files import read_depth, read_mask
-    from neuralgrasps.geometry.camera import Intrinsics, back_project
-
-    image = read_depth(path, scale)
-    height, width = image.shape
-    fx, fy, cx, cy = camera
-    if fx is None:
-        raise InputError(
-            "--depth needs the camera's focal length: --fx PIXELS, and --fy, --cx, --cy where they differ."
-        )
-    intrinsics = Intrinsics(
-        fx,
-        fx if fy is None else fy,
-        0.5 * (width - 1) if cx is None else cx,
-        0.5 * (height - 1) if cy is None else cy,
-        width,
-        height,
-    )
-    mask = None if mask_path is None else read_mask(mask_path, image.shape)
-    points = back_project(image, intrinsics, mask=mask)
-    if len(points) < 20:
-        where = "inside the mask" if mask is not None else "in the image"
-        raise InputError(f"'{path}' has {len(points)} measured pixels {where}; expected at least 20 on the object.")
-    return image, intrinsics, points
+def _check_options(source: PoseSource, out: Path | None, *, track: bool) -> None:
+    """Refuse what cannot be written, and options without a use here."""
+    if track and source.frames is None:
+        raise InputError("--track follows objects through the frames of a sequence; it goes with --frames FOLDER.")
+    if out is None:
+        return
+    if source.cloud is not None:
+        raise InputError("--out draws over a depth image; give --depth FILE instead of --cloud.")
+    is_picture = out.suffix.lower() == ".png"
+    if out.suffix and not is_picture and not out.is_dir():
+        raise InputError(f"--out is '{out}'; expected a file ending in .png, or a folder.")
+    if is_picture and source.frames is not None:
+        raise InputError(f"--out is one picture, '{out}', but --frames may hold several frames; give a folder.")
+    check_writable(out, folder=not is_picture)
 
 
-def _cloud_points(path: Path, scale: float) -> np.ndarray:
-    import numpy as np
+def _load(terminal: Terminal, objects: Sequence[str], unit: Unit) -> list[ObjectModel]:
+    from neuralgrasps.objects.zoo import object_sources
 
-    from neuralgrasps.cli.scan_files import read_cloud
-
-    if not scale > 0:
-        raise InputError(f"--cloud-scale is {scale}; expected units per metre, such as 1000 for millimetres.")
-    points = read_cloud(path) / scale
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 20:
-        raise InputError(f"'{path}' holds {len(points)} finite points; expected at least 20 on the object.")
-    return points
-
-
-def _check_extent(obj: ObjectModel, points: np.ndarray) -> None:
-    """Refuse points that cannot all lie on the object, before searching in vain."""
-    import numpy as np
-
-    spread = float(np.linalg.norm(np.percentile(points, 95, axis=0) - np.percentile(points, 5, axis=0)))
-    size = float(np.linalg.norm(obj.mesh.extents))
-    if not _LEAST_SPREAD < spread / size < _LARGEST_SPREAD:
-        raise InputError(
-            f"the points span {spread:.3g} m but '{obj.name}' measures {size:.3g} m across; give only the object's "
-            "points (--mask), or the right unit (--depth-scale, --cloud-scale)."
-        )
+    specs = object_sources(objects)
+    with terminal.progress("reading the objects" if len(specs) > 1 else "reading the object"):
+        models, files, skipped = open_readable(specs, named=tuple(objects), unit=unit)
+    warn_of_damage(terminal, models.values())
+    warn_of_stand_ins(terminal, files, models)
+    for file, reason in skipped.items():
+        terminal.complain(f"warning: '{file}' is left out: {reason}")
+    return list(models.values())
 
 
-def pose_record(obj: ObjectModel, found: PoseResult, *, points: int, wall_s: float) -> dict[str, Any]:
-    """A pose as JSON: matrix in metres, quaternion w x y z."""
-    import torch
+def _find_all(
+    terminal: Terminal,
+    models: Sequence[ObjectModel],
+    sources: Sequence[Pending],
+    source: PoseSource,
+    *,
+    seed: int,
+    track: bool,
+    files: PoseFiles | None,
+) -> list[tuple[Finding, dict[str, Any]]]:
+    """Findings and their records, frame by frame; of several frames one may fail.
 
-    from neuralgrasps.geometry.rotation import quaternion_from_matrix
-
-    quaternion = quaternion_from_matrix(torch.as_tensor(found.X_CO[:3, :3])).numpy()
-    return {
-        "object": obj.name,
-        "converged": found.converged,
-        "X_CO_m": found.X_CO,
-        "position_m": found.X_CO[:3, 3],
-        "quaternion_wxyz": quaternion,
-        "score_mm": found.score_m * 1e3,
-        "residual_median_mm": found.residual * 1e3,
-        "points": points,
-        "wall_s": wall_s,
-        "seed": found.seed,
-        "symmetry_rotations": len(obj.symmetry.rotations),
-    }
-
-
-def _show(terminal: Terminal, record: dict[str, Any]) -> None:
-    terminal.say(f"{record['object']}: {'found' if record['converged'] else 'NOT found: the points do not fit it'}")
-    position = ", ".join(f"{v:+.4f}" for v in record["position_m"])
-    quaternion = ", ".join(f"{v:+.4f}" for v in record["quaternion_wxyz"])
-    terminal.facts(
-        [
-            ("position", f"{position} m"),
-            ("quaternion", f"{quaternion} (w x y z)"),
-            ("points", f"{record['points']}, median {record['residual_median_mm']:.2f} mm off the surface"),
-            ("time", f"{record['wall_s']:.2f} s"),
-        ]
-    )
-    terminal.say("X_CO =")
-    for row in record["X_CO_m"]:
-        terminal.say("  " + " ".join(f"{v:+9.5f}" for v in row))
+    Raises:
+        InputError: no frame can be used.
+    """
+    out: list[tuple[Finding, dict[str, Any]]] = []
+    before: Finding | None = None
+    failed: list[InputError] = []
+    with terminal.progress("searching", "frames") as bar:
+        for number, pending in enumerate(sources):
+            try:
+                finding = find_in(models, pending.read(), source, seed=seed, before=before)
+                before = finding if track else None
+            except InputError as error:
+                failed.append(error)
+                if len(failed) == len(sources):
+                    raise failed[0] from None
+                finding = Finding(name=pending.name, problem=str(error), missing=tuple(obj.name for obj in models))
+            record = frame_record(finding)
+            if files is not None:
+                files.add(finding, record)
+            out.append((replace(finding, frame=None), record))  # pictures are let go
+            bar(number + 1, len(sources), pending.name)
+    return out

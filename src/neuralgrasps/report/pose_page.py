@@ -34,8 +34,8 @@ NOTES = (
     "that resembles none of the models can break it: there, take it as a ranking, and look at the picture.",
     "Off the model is the median distance of the object's measured points to the model; explained is the share of them "
     "within tolerance. Both say how well the seen side fits. They cannot say that the unseen side is right.",
-    "± is one standard deviation in the least certain direction, from the fit of the seen points alone. What all points "
-    "share is not in it: the bias of a depth camera (3 to 8 mm at 0.7 m is common), a model of another size.",
+    "± is one standard deviation in the least certain direction, from the fit of the seen points alone. Errors common to "
+    "all points are not in it: the bias of a depth camera (3 to 8 mm at 0.7 m is common), a model of another size.",
     "Other poses fit the view too, with the probability given; they differ from the best by the angle and distance "
     "given. Colour was not used: a box and its flipped self look the same to a depth camera.",
     "Positions are of the origin of the model's file, in the camera frame: x right, y down, z forward.",

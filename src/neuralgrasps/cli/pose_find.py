@@ -1,0 +1,174 @@
+"""Finding what `pose` was asked for in one observation after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from neuralgrasps.cli.pose_input import PoseSource, Seen, check_extent, is_flat, known_table
+from neuralgrasps.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from neuralgrasps.geometry.plane import Plane
+    from neuralgrasps.objects.object_model import ObjectModel
+    from neuralgrasps.perception.frame import Frame
+    from neuralgrasps.perception.pose import PoseResult
+    from neuralgrasps.perception.table import TableFit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Placed:
+    """An object, its pose, and the number of measured points that decided it."""
+
+    obj: ObjectModel
+    pose: PoseResult
+    points: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """What was found in one observation.
+
+    Attributes:
+        placed: poses, surest first; the pose of a single object is kept when it is not `converged`, too.
+        missing: names that were looked for and not found.
+        frame: what was looked at; None for points alone.
+        table: the plane that was found; None when it was given or not needed.
+        identity: which object it is, name -> probability, "none" for none of them; of a mask or cloud alone.
+        problem: why nothing could be looked for; note: what else to know.
+    """
+
+    name: str
+    placed: tuple[Placed, ...] = ()
+    missing: tuple[str, ...] = ()
+    frame: Frame | None = None
+    table: TableFit | None = None
+    identity: Mapping[str, float] = field(default_factory=dict)
+    problem: str = ""
+    note: str = ""
+    wall_s: float = 0.0
+
+    @property
+    def found(self) -> tuple[Placed, ...]:
+        return tuple(p for p in self.placed if p.pose.converged)
+
+
+def find_in(
+    models: Sequence[ObjectModel], seen: Seen, given: PoseSource, *, seed: int, before: Finding | None = None
+) -> Finding:
+    """Look for the models in one observation.
+
+    Args:
+        before: what was found in the frame before, to go on from; None to search.
+    Raises:
+        InputError: the observation cannot be used: no table, points that are not on the object, and so on.
+    """
+    start = time.perf_counter()
+    if not seen.is_one_object:
+        return _in_scene(models, seen, given, seed, before, start)
+    assert seen.points_C is not None
+    check_extent(list(models), seen.points_C)
+    view: dict[str, Any] = {"points_C": seen.points_C} if seen.frame is None else _view(seen, given, seed)
+    placed, identity = _one(models, view, len(seen.points_C), seed)
+    flat = (
+        "the points lie on one plane: many poses fit, and so does a piece of a table." if is_flat(seen.points_C) else ""
+    )
+    return Finding(
+        name=seen.name,
+        placed=placed,
+        missing=() if identity else tuple(p.obj.name for p in placed if not p.pose.converged),
+        frame=seen.frame,
+        identity=identity,
+        note=flat,
+        wall_s=time.perf_counter() - start,
+    )
+
+
+def _view(seen: Seen, given: PoseSource, seed: int) -> dict[str, Any]:
+    """The masked frame as the estimators take it; a table helps where one is in view."""
+    assert seen.frame is not None
+    table = known_table(given, seen.frame)
+    if table is None:
+        try:
+            table = _find_table(seen.frame, given, seed).plane
+        except InputError:
+            table = None  # the mask says where the object is
+    return {"depth": seen.frame.depth, "intrinsics": seen.frame.intrinsics, "mask": seen.mask, "table": table}
+
+
+def _one(
+    models: Sequence[ObjectModel], view: dict[str, Any], points: int, seed: int
+) -> tuple[tuple[Placed, ...], Mapping[str, float]]:
+    """The pose of the only model; of several, which one it is and its pose."""
+    if len(models) == 1:
+        from neuralgrasps.perception.pose import estimate_pose
+
+        return (Placed(obj=models[0], pose=estimate_pose(models[0], seed=seed, **view), points=points),), {}
+    from neuralgrasps.perception.identify import identify_object
+
+    named = identify_object(models, seed=seed, **view)
+    placed = tuple(
+        Placed(obj=obj, pose=named.poses[obj.name], points=points) for obj in models if obj.name == named.name
+    )
+    return placed, {**named.probability, "none": named.none_probability}
+
+
+def _in_scene(
+    models: Sequence[ObjectModel], seen: Seen, given: PoseSource, seed: int, before: Finding | None, start: float
+) -> Finding:
+    """Every model that stands on the table of a frame."""
+    assert seen.frame is not None
+    table, fit = known_table(given, seen.frame), None
+    if table is None:
+        fit = _find_table(seen.frame, given, seed)
+        table = fit.plane
+    placed = _tracked(seen.frame, table, before) if before is not None and before.found else None
+    if placed is None:
+        placed = _searched(models, seen.frame, table, seed)
+    placed = sorted(placed, key=lambda p: -p.pose.confidence)
+    found = {p.obj.name for p in placed if p.pose.converged}
+    return Finding(
+        name=seen.name,
+        placed=tuple(placed),
+        missing=tuple(obj.name for obj in models if obj.name not in found),
+        frame=seen.frame,
+        table=fit,
+        wall_s=time.perf_counter() - start,
+    )
+
+
+def _searched(models: Sequence[ObjectModel], frame: Frame, table: Plane, seed: int) -> list[Placed]:
+    from neuralgrasps.perception.find import find_objects
+
+    by_name = {obj.name: obj for obj in models}
+    return [
+        Placed(obj=by_name[f.name], pose=f.pose, points=_measured(frame, f.mask))
+        for f in find_objects(models, frame, table=table, seed=seed)
+    ]
+
+
+def _tracked(frame: Frame, table: Plane, before: Finding) -> list[Placed] | None:
+    """The objects of the frame before, followed; None when one was lost, so that all are searched again."""
+    from neuralgrasps.perception.track import track_pose
+
+    placed = []
+    for last in before.found:
+        pose = track_pose(last.obj, frame.depth, frame.intrinsics, last.pose.X_CO, table=table)
+        if not pose.converged:
+            return None
+        placed.append(Placed(obj=last.obj, pose=pose, points=last.points))
+    return placed
+
+
+def _find_table(frame: Frame, given: PoseSource, seed: int) -> TableFit:
+    from neuralgrasps.perception.table import find_table
+
+    return find_table(frame, max_depth_m=given.max_depth, seed=seed)
+
+
+def _measured(frame: Frame, mask: np.ndarray) -> int:
+    return int((frame.depth[mask] > 0).sum())
