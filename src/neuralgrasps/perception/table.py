@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from PIL import Image, ImageDraw
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
@@ -88,7 +89,8 @@ class _Candidate:
 
     @property
     def score(self) -> float:
-        return self.share + 3.0 * min(self.things, self.share)
+        """Geometric mean of the shares of the image: of the plane and of what stands on it, which counts most."""
+        return float(np.sqrt(self.share * (min(self.things, self.share) + _LEAST_THING_SHARE / 2)))
 
 
 def find_table(frame: Frame, *, max_depth_m: float | None = None, seed: int = 0) -> TableFit:
@@ -112,7 +114,7 @@ def find_table(frame: Frame, *, max_depth_m: float | None = None, seed: int = 0)
     points = cell_points(cells)
     found = [c for c in (_judged(cells, points, plane) for plane in planes) if c is not None]
     best = _chosen(frame, found, max_depth_m)
-    near = _enlarged(best.main, cells.step, frame.depth.shape)
+    near = _within_outline(best.main, cells.step, frame.depth.shape)
     plane = fitted_plane(frame, best.plane, near & in_band(frame, best.plane))
     mask = near & in_band(frame, plane)
     return TableFit(
@@ -198,7 +200,7 @@ def _seen_part(cells: Cells, points: np.ndarray, plane: Plane) -> tuple[np.ndarr
     sizes = np.bincount(labels.ravel())[1:]
     order = np.argsort(-sizes, kind="stable") + 1
     main = labels == order[0]
-    extent = _outline(points[main], plane)
+    extent = _outline(points, main, plane)
     if extent is None:
         return None
     for label in order[1:8]:
@@ -207,29 +209,38 @@ def _seen_part(cells: Cells, points: np.ndarray, plane: Plane) -> tuple[np.ndarr
         part = labels == label
         if np.percentile(extent.outside_m(points[part]), 5) < _JOIN_M:
             main |= part
-            extent = _outline(points[main], plane) or extent
+            extent = _outline(points, main, plane) or extent
     return main, extent
 
 
-def _outline(points_C: np.ndarray, plane: Plane) -> TableExtent | None:
-    n = plane.normal
-    first = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
-    first /= np.linalg.norm(first)
-    axes = np.stack([first, np.cross(n, first)])
+def _outline(points_C: np.ndarray, mask: np.ndarray, plane: Plane) -> TableExtent | None:
+    """Outline of the points (r, c, 3) of a mask (r, c).
+
+    A camera maps convex outlines on a plane to convex ones: only the ends of the image's rows can be corners.
+    """
+    rows = np.flatnonzero(mask.any(axis=1))
+    first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
+    ends = np.concatenate([points_C[rows, first], points_C[rows, last]])
+    axis = np.cross(plane.normal, np.eye(3)[np.argmin(np.abs(plane.normal))])
+    axis /= np.linalg.norm(axis)
+    axes = np.stack([axis, np.cross(plane.normal, axis)])
     try:
-        hull = ConvexHull(points_C @ axes.T)
+        hull = ConvexHull(ends @ axes.T)
     except (QhullError, ValueError):
         return None
     return TableExtent(axes, np.ascontiguousarray(hull.equations), float(hull.volume))
 
 
-def _enlarged(blocks: np.ndarray, step: int, shape: tuple[int, int]) -> np.ndarray:
-    """Blocks and those around them as pixels."""
-    grown = ndimage.binary_dilation(blocks, np.ones((3, 3)))
-    out = np.zeros(shape, bool)
-    pixels = np.kron(grown, np.ones((step, step), bool))
-    out[: pixels.shape[0], : pixels.shape[1]] = pixels
-    return out
+def _within_outline(blocks: np.ndarray, step: int, shape: tuple[int, ...]) -> np.ndarray:
+    """(h, w) bool: pixels within the convex outline of some blocks and 3 blocks around, which the edge may have cut."""
+    row, column = np.nonzero(blocks)
+    corners = np.stack([column, row], axis=1)
+    corners = corners[ConvexHull(corners).vertices]
+    image = Image.new("L", blocks.shape[::-1])
+    ImageDraw.Draw(image).polygon([(int(u), int(v)) for u, v in corners], fill=1, outline=1)
+    grown = ndimage.binary_dilation(np.asarray(image) > 0, np.ones((3, 3)), iterations=3)
+    index = [np.minimum(np.arange(n) // step, m - 1) for n, m in zip(shape, blocks.shape, strict=True)]
+    return grown[np.ix_(*index)]
 
 
 @njit(cache=True, error_model="numpy")
