@@ -1,0 +1,95 @@
+"""All objects of a library in one frame: table, clusters, and which object each is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.geometry.camera import pixel_rays
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.clusters import find_clusters
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.identify import identify_object
+from neuralgrasps.perception.pose import PoseConfig, PoseResult
+from neuralgrasps.perception.table import find_table
+
+_OWN_M = 0.008  # pixels so near to a found object are its own
+_REST_SHARE = 0.15  # what is left of a cluster is looked at again when it is at least so much of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundObject:
+    """An object in a frame.
+
+    Attributes:
+        name: of the object. probability: that it is this object and not another or none.
+        pose: where it is. mask: (h, w) bool, its pixels.
+    """
+
+    name: str
+    probability: float
+    pose: PoseResult
+    mask: np.ndarray
+
+
+def find_objects(
+    objects: Sequence[ObjectModel],
+    frame: Frame,
+    *,
+    table: Plane | None = None,
+    masks: Sequence[np.ndarray] | None = None,
+    min_pixels: int = 400,
+    config: PoseConfig | None = None,
+    seed: int = 0,
+) -> list[FoundObject]:
+    """Find which objects of a library stand on the table of a frame, and where.
+
+    Every cluster of pixels above the table is identified; what an accepted object leaves of a cluster is looked at
+    again, since objects that touch form one cluster.
+
+    Args:
+        objects: the library. table: plane in the camera frame; found in the frame when None.
+        masks: clusters to look at, (h, w) bool each; found above the table when None.
+        min_pixels: smaller clusters, and smaller rests of them, are left out.
+    Returns:
+        Found objects, largest mask first; empty when nothing of the library is there.
+    Raises:
+        InputError: no table can be found, or as `identify_object`.
+    """
+    if table is None:
+        table = find_table(frame, seed=seed).plane
+    open_masks = [np.asarray(m, bool) for m in (find_clusters(frame, table) if masks is None else masks)]
+    points_C = pixel_rays(frame.intrinsics) * frame.depth[..., None]
+    found = []
+    while open_masks:
+        mask = open_masks.pop(0) & (frame.depth > 0)
+        if mask.sum() < min_pixels:
+            continue
+        seen = identify_object(
+            objects, depth=frame.depth, intrinsics=frame.intrinsics, mask=mask, table=table, config=config, seed=seed
+        )
+        if seen.name is None:
+            continue
+        obj = next(o for o in objects if o.name == seen.name)
+        pose = seen.poses[seen.name]
+        own = mask & _near(obj, pose.X_CO, points_C, mask)
+        found.append(FoundObject(name=seen.name, probability=seen.probability[seen.name], pose=pose, mask=own))
+        rest = ndimage.binary_opening(mask & ~own, np.ones((3, 3)))
+        labels, count = ndimage.label(rest, structure=np.ones((3, 3)))
+        for k in range(1, count + 1):
+            part = labels == k
+            if part.sum() > max(min_pixels, _REST_SHARE * mask.sum()):
+                open_masks.append(part)
+    return sorted(found, key=lambda f: -int(f.mask.sum()))
+
+
+def _near(obj: ObjectModel, X_CO: np.ndarray, points_C: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    out = np.zeros(mask.shape, bool)
+    points = (points_C[mask] - X_CO[:3, 3]) @ X_CO[:3, :3]
+    out[mask] = np.abs(query_grid_numpy(obj.sdf, points)) < _OWN_M
+    return out

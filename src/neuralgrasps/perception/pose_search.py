@@ -1,0 +1,196 @@
+"""The search for a pose: coarse scores, Levenberg-Marquardt in three rounds, evidence of the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from neuralgrasps.compiled import njit
+from neuralgrasps.perception.observation import Observation
+from neuralgrasps.perception.pose_kernels import Terms, coarse_scores, polish, slide
+from neuralgrasps.perception.pose_model import PoseModel
+from neuralgrasps.perception.pose_starts import start_poses
+from neuralgrasps.perception.pose_visibility import COST, EVIDENCE, ray_evidence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseConfig:
+    """Knobs of `estimate_pose`.
+
+    Attributes:
+        yaw_steps: turns of every stable pose about the table's normal.
+        coarse_points, coarse_model_points: observed points and points of the model in the coarse score.
+        slid, coarse_kept, middle_kept, finalists: poses that survive each stage.
+        kernels_m: scale of the Geman-McClure loss in each round of polishing; points, model_points, steps likewise.
+        clip_m: residuals count at most this much in coarse scores.
+        tolerance_m: distance at which a point counts as half explained.
+        free_weight, table_weight, rest_weight: weights of free space, of touching the table and of a stable pose on it.
+        margin_m: what sensor noise may explain, at 1 m.
+        ray_cells: about so many pixels of the mask are looked at in the image, in each round.
+        contact_weight: weight of all contact points together, 3 mm accurate, as a share of that of the points.
+    """
+
+    yaw_steps: int = 36
+    coarse_points: int = 48
+    coarse_model_points: int = 64
+    slid: int = 400
+    coarse_kept: int = 48
+    middle_kept: int = 16
+    finalists: int = 4
+    kernels_m: tuple[float, float, float] = (0.010, 0.006, 0.004)
+    points: tuple[int, int, int] = (120, 250, 1000)
+    model_points: tuple[int, int, int] = (64, 128, 384)
+    steps: tuple[int, int, int] = (5, 8, 8)
+    clip_m: float = 0.020
+    tolerance_m: float = 0.005
+    free_weight: float = 1.0
+    table_weight: float = 0.1
+    rest_weight: float = 0.05
+    margin_m: float = 0.006
+    ray_cells: tuple[int, int, int] = (120, 250, 800)
+    contact_weight: float = 0.1
+
+    def terms(self, stage: int) -> Terms:
+        """What one round of polishing minimises."""
+        return Terms(
+            self.kernels_m[stage], self.free_weight, self.table_weight, self.rest_weight, self.margin_m,
+            self.points[stage], self.model_points[stage],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """Distinct poses, best first.
+
+    Attributes:
+        X_CO: (K, 4, 4). cost: (K,) lower is better. evidence: (K, 6), see `pose_visibility`.
+    """
+
+    X_CO: np.ndarray
+    cost: np.ndarray
+    evidence: np.ndarray
+
+
+def search(model: PoseModel, scene: Observation, contacts: np.ndarray, config: PoseConfig) -> Candidates:
+    """Poses of a model that explain an observation; contacts: (K, 4), see `normal_equations`."""
+    X = start_poses(model, scene, yaw_steps=config.yaw_steps)
+    X = X[np.argsort(_coarse(model, scene, X, config), kind="stable")[: config.slid]]
+    slide(model, scene, X, config.coarse_points, 3)
+    X = _best(model, X, _coarse(model, scene, X, config), config.coarse_kept)
+    cost = np.empty(len(X))
+    polish(model, scene, contacts, config.terms(0), X, config.steps[0], cost)
+    X = _best(model, X, cost, config.middle_kept)
+    X = polished(model, scene, contacts, X, config, 1).X_CO[: config.finalists]
+    # what the object's near symmetry made equal so far is told apart now
+    X = (X[:, None] @ model.turns).reshape(-1, 4, 4)
+    X = polished(model, scene, contacts, X, config, 1).X_CO[: config.finalists]
+    return polished(model, scene, contacts, X, config, 2)
+
+
+def refine(
+    model: PoseModel, scene: Observation, contacts: np.ndarray, found: Candidates, config: PoseConfig
+) -> Candidates:
+    """Candidates polished once more with contacts; each is kept only where the view is explained no less than before."""
+    after = polished(model, scene, contacts, found.X_CO, config, 2)
+    better = after.cost[0] <= found.cost[0]
+    return after if better else found
+
+
+def polished(
+    model: PoseModel, scene: Observation, contacts: np.ndarray, X: np.ndarray, config: PoseConfig, stage: int
+) -> Candidates:
+    """Distinct poses after one round of polishing."""
+    X = np.ascontiguousarray(X)
+    cost = np.empty(len(X))
+    polish(model, scene, contacts, config.terms(stage), X, config.steps[stage], cost)
+    cost /= min(config.points[stage], len(scene.points)) * config.kernels_m[stage] ** 2
+    evidence = evidence_of(model, scene, X, config, stage)
+    cost = evidence[:, COST] + 0.2 * cost
+    order = distinct(model, X, cost, len(X), up_to_turns=False)
+    return Candidates(X[order], cost[order], evidence[order])
+
+
+def evidence_of(
+    model: PoseModel, scene: Observation, X_CO: np.ndarray, config: PoseConfig, stage: int = 2
+) -> np.ndarray:
+    """(N, 6) evidence of the image for every pose."""
+    out = np.empty((len(X_CO), EVIDENCE))
+    stride = max(1, round(float(np.sqrt((scene.outside == 0.0).sum() / config.ray_cells[stage]))))
+    ray_evidence(model, scene, X_CO, stride, config.tolerance_m, config.clip_m, config.margin_m, out)
+    return out
+
+
+def _coarse(model: PoseModel, scene: Observation, X: np.ndarray, config: PoseConfig) -> np.ndarray:
+    cost = np.empty(len(X))
+    coarse_scores(
+        model, scene, X, config.coarse_points, config.coarse_model_points, config.clip_m, config.free_weight,
+        config.margin_m, cost,
+    )  # fmt: skip
+    return cost
+
+
+def _best(model: PoseModel, X: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
+    """The best `count` poses that differ; a first cut by cost alone keeps the comparison short."""
+    first = np.argsort(cost, kind="stable")[: 4 * count]
+    return X[first][distinct(model, X[first], cost[first], count, up_to_turns=True)]
+
+
+def distinct(model: PoseModel, X: np.ndarray, cost: np.ndarray, count: int, *, up_to_turns: bool) -> np.ndarray:
+    """Indices of at most `count` best poses that differ from every better one by 8 degrees or 10 mm.
+
+    up_to_turns: poses that the object's near symmetry makes equal count as one.
+    """
+    order = np.argsort(cost, kind="stable")
+    kept = np.zeros(count, np.int64)
+    turns = model.turns if up_to_turns else model.turns[:1]
+    found = _suppress(X[order], turns, model.axis, model.centre, np.cos(np.deg2rad(8.0)), 0.010, kept)
+    return order[kept[:found]]
+
+
+@njit(cache=True, error_model="numpy")
+def _suppress(X, turns, axis, centre, cosine, distance, kept):  # type: ignore[no-untyped-def]
+    found = 0
+    for i in range(X.shape[0]):
+        fresh = True
+        for k in range(found):
+            if _alike(X[i], X[kept[k]], turns, axis, centre, cosine, distance):
+                fresh = False
+                break
+        if fresh:
+            kept[found] = i
+            found += 1
+            if found == kept.shape[0]:
+                break
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def _alike(A, B, turns, axis, centre, cosine, distance):  # type: ignore[no-untyped-def]
+    """Whether two poses agree up to the given motions of the object and turns about its axis."""
+    gap = 0.0
+    for r in range(3):
+        d = A[r, 3] - B[r, 3]
+        for c in range(3):
+            d += (A[r, c] - B[r, c]) * centre[c]
+        gap += d * d
+    if gap > distance * distance:
+        return False
+    M = np.zeros((3, 3))  # B in A
+    for r in range(3):
+        for c in range(3):
+            for k in range(3):
+                M[r, c] += A[k, r] * B[k, c]
+    is_round = axis[0] != 0.0 or axis[1] != 0.0 or axis[2] != 0.0
+    for s in range(turns.shape[0]):
+        agreement = 0.0
+        for r in range(3):
+            for c in range(3):
+                if is_round:
+                    e = turns[s, c, 0] * axis[0] + turns[s, c, 1] * axis[1] + turns[s, c, 2] * axis[2]
+                    agreement += axis[r] * M[r, c] * e
+                else:
+                    agreement += 0.5 * M[r, c] * turns[s, r, c]
+        if (agreement if is_round else agreement - 0.5) > cosine:
+            return True
+    return False
