@@ -10,24 +10,32 @@ import numpy as np
 from scipy import ndimage
 
 from neuralgrasps.errors import InputError, unknown_name
-from neuralgrasps.evaluate.pose_occluders import Placed, body_of, hide, own_depth, turn_z
+from neuralgrasps.evaluate.held_scenes import HeldScene, held_scene
+from neuralgrasps.evaluate.pose_occluders import Body, Placed, body_of, body_of_mesh, hide, turn_z
 from neuralgrasps.evaluate.pose_room import CAMERA, random_room, random_view
-from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.evaluate.pose_views import HARD_NOISE, see
+from neuralgrasps.evaluate.unknown_shapes import SHAPES, unknown_shape
+from neuralgrasps.geometry.camera import Intrinsics, pixel_rays
+from neuralgrasps.geometry.mesh import Mesh, face_areas_normals
 from neuralgrasps.geometry.plane import Plane, horizontal_plane
-from neuralgrasps.geometry.se3_numpy import transform_points_np
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.resting import resting_poses
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.seeds import child_rng, child_seed
 from neuralgrasps.sim.camera import STRUCTURED_LIGHT, render_depth_view
 
+__all__ = [
+    "CONDITIONS", "PATCHES", "UNKNOWN_KINDS", "VISIBLE", "Condition", "HeldScene", "PoseScene", "background_scene",
+    "held_scene", "pose_scene",
+]  # fmt: skip
+
 Condition = Literal["easy", "occluded", "hard"]
 CONDITIONS: tuple[Condition, ...] = get_args(Condition)
-HARD_NOISE = replace(STRUCTURED_LIGHT, white_m=0.0025, scale_error=0.003, bias_m=0.003)
-"""The sensor of the hard scenes: 2.5 mm more noise, 0.3 % too far, and a smooth error of 3 mm."""
-SPILL_M = 0.003
 VISIBLE = (0.25, 0.80)
 """Between these shares of the object's own pixels stay visible in the occluded and hard scenes."""
+PATCHES = ("table edge", "wall")
+UNKNOWN_KINDS: tuple[str, ...] = (*SHAPES, *PATCHES)
+"""What `background_scene` shows."""
 _REDRAWS = 30
 _MIN_PIXELS = 100
 
@@ -91,15 +99,14 @@ def pose_scene(
         UnknownNameError: no such condition.
         InputError: no scene could be made, as of an object too small to be seen.
     """
-    if condition not in CONDITIONS:
-        raise unknown_name("condition", condition, CONDITIONS)
+    _check_names(condition)
     others = [other for other in distractors if other.name != obj.name]
     body, (poses, shares) = body_of(obj), resting_poses(obj.mesh.vertices, obj.com_O)
+    share = _share(child_rng(seed, "visible share", obj.name))
     for attempt in range(_REDRAWS):
         rng = child_rng(seed, "pose scene", obj.name, attempt)
-        pose = poses[rng.choice(len(poses), p=shares)]
-        target = Placed(body=body, X_WB=turn_z(rng.uniform(0.0, 2.0 * np.pi)) @ pose)
-        scene = _scene_of(target, obj.name, condition, seed=seed, rng=rng, others=others, intrinsics=intrinsics)
+        target = _stand(body, poses, shares, rng)
+        scene = _scene_of(target, obj.name, condition, share, seed=seed, rng=rng, others=others, intrinsics=intrinsics)
         if scene is not None:
             return scene
     raise InputError(
@@ -107,49 +114,129 @@ def pose_scene(
     )
 
 
-def spilled(mask: np.ndarray, depth_m: float, intrinsics: Intrinsics) -> np.ndarray:
-    """A mask (h, w) grown by 3 mm at a depth."""
-    pixels = SPILL_M * intrinsics.fx / depth_m
-    return np.asarray(ndimage.distance_transform_edt(~mask) <= pixels)
+def background_scene(
+    seed: int,
+    *,
+    kind: str | None = None,
+    distractors: Sequence[ObjectModel] = (),
+    condition: Condition | None = None,
+    intrinsics: Intrinsics = CAMERA,
+) -> PoseScene:
+    """A scene whose mask holds something that is in no library; its `object` is "" and its pose nan.
+
+    Kinds: the `SHAPES` (frames of bars and plates, bowls and half shells, mugs with a handle, rings, cones, wedges,
+    L, T and U profiles, balls and eggs, bunches of solids, slabs far larger and blocks far smaller than household
+    boxes, bananas, lumps) on the table, and `PATCHES`: a round piece of the table's edge with what lies behind it, or
+    of the wall and floor, as a bad segmentation cuts out.
+
+    Args:
+        kind: one of `UNKNOWN_KINDS`; drawn by the seed when None.
+        distractors: as in `pose_scene`.
+        condition: as in `pose_scene`; when None, "occluded" for half of the seeds, else "easy". Patches are not
+            occluded.
+    Raises:
+        UnknownNameError: no such kind or condition.
+    """
+    rng = child_rng(seed, "background")
+    draw, occluded = str(rng.choice(UNKNOWN_KINDS)), bool(rng.random() < 0.5)
+    kind = draw if kind is None else kind
+    condition = ("occluded" if occluded else "easy") if condition is None else condition
+    _check_names(condition, kind)
+    for attempt in range(_REDRAWS):
+        rng = child_rng(seed, "background", kind, attempt)
+        if kind in PATCHES:
+            return _patch(kind, "hard" if condition == "hard" else "easy", seed=seed, rng=rng, intrinsics=intrinsics)
+        mesh = unknown_shape(kind, rng)
+        target = _stand(body_of_mesh(mesh, seed=seed), *resting_poses(mesh.vertices, _middle(mesh)), rng)
+        scene = _scene_of(
+            target, "", condition, _share(rng), seed=seed, rng=rng, others=distractors, intrinsics=intrinsics
+        )
+        if scene is not None:
+            return replace(scene, X_CO_true=np.full((4, 4), np.nan))
+    raise InputError(f"seed {seed} gave no {condition} scene of a {kind} in {_REDRAWS} draws; expected another seed.")
+
+
+def _share(rng: np.random.Generator) -> float:
+    margin = 0.015  # `hide` is that exact
+    return float(rng.uniform(VISIBLE[0] + margin, VISIBLE[1] - margin))
+
+
+def _check_names(condition: str, kind: str | None = None) -> None:
+    if condition not in CONDITIONS:
+        raise unknown_name("condition", condition, CONDITIONS)
+    if kind is not None and kind not in UNKNOWN_KINDS:
+        raise unknown_name("kind", kind, UNKNOWN_KINDS)
+
+
+def _middle(mesh: Mesh) -> np.ndarray:
+    """(3,) centre of the surface, the centre of mass of a thing of sheet."""
+    areas, _ = face_areas_normals(mesh)
+    return np.asarray(np.average(mesh.vertices[mesh.faces].mean(axis=1), axis=0, weights=areas))
+
+
+def _stand(body: Body, poses: np.ndarray, shares: np.ndarray, rng: np.random.Generator) -> Placed:
+    """A body in one of its stable poses, turned at random about the vertical."""
+    pose = poses[rng.choice(len(poses), p=shares)]
+    return Placed(body=body, X_WB=turn_z(rng.uniform(0.0, 2.0 * np.pi)) @ pose)
 
 
 def _scene_of(
     target: Placed,
     name: str,
     condition: Condition,
+    share: float,
     *,
     seed: int,
     rng: np.random.Generator,
     others: Sequence[ObjectModel],
     intrinsics: Intrinsics,
 ) -> PoseScene | None:
-    """One draw; None when too little of the target is seen."""
+    """One draw of a scene that leaves `share` visible; None when it did not come out so."""
     X_WC = random_view(target.centre_W, target.body.radius_m, intrinsics, rng)
     room = random_room(rng, X_WC)
     things: tuple[Placed, ...] | None = ()
     if condition != "easy":
-        share = child_rng(seed, "visible share", name).uniform(VISIBLE[0] + 0.015, VISIBLE[1] - 0.015)
         things = hide(target, share=share, X_WC=X_WC, intrinsics=intrinsics, rng=rng, distractors=others)
     if things is None:
         return None
-    placed = (target, *things)
-    view = render_depth_view(
-        [*(p.body.mesh for p in placed), room],
-        np.stack([*(p.X_WB for p in placed), np.eye(4)]),
-        X_WC=X_WC,
-        intrinsics=intrinsics,
-        noise=HARD_NOISE if condition == "hard" else STRUCTURED_LIGHT,
+    sight = see(
+        target, things, room, X_WC=X_WC, intrinsics=intrinsics, hard=condition == "hard",
         seed=child_seed(seed, "sensor", name),
-    )
-    true_mask = view.mesh_index == 0
-    own = np.isfinite(own_depth(target, X_WC, intrinsics))
-    visible = float((true_mask & view.lit).sum() / max(own.sum(), 1))
-    X_CO = np.linalg.inv(X_WC) @ target.X_WB
-    distance = float(transform_points_np(X_CO, target.body.centre[None])[0, 2])
-    mask = (spilled(true_mask, distance, intrinsics) if condition == "hard" else true_mask) & (view.depth > 0)
-    if mask.sum() < _MIN_PIXELS or (condition != "easy" and not VISIBLE[0] <= visible <= VISIBLE[1]):
+    )  # fmt: skip
+    inside = condition == "easy" or VISIBLE[0] <= sight.visible_share <= VISIBLE[1]
+    if not inside or sight.mask.sum() < _MIN_PIXELS:
         return None
     return PoseScene(
-        object=name, condition=condition, depth=view.depth, intrinsics=intrinsics, mask=mask, true_mask=true_mask,
-        X_WC=X_WC, X_CO_true=X_CO, table=horizontal_plane(0.0, X_WC), visible_share=visible, seed=seed,
+        object=name, condition=condition, depth=sight.depth, intrinsics=intrinsics, mask=sight.mask,
+        true_mask=sight.true_mask, X_WC=X_WC, X_CO_true=np.linalg.inv(X_WC) @ target.X_WB,
+        table=horizontal_plane(0.0, X_WC), visible_share=sight.visible_share, seed=seed,
+    )  # fmt: skip
+
+
+def _patch(
+    kind: str, condition: Condition, *, seed: int, rng: np.random.Generator, intrinsics: Intrinsics
+) -> PoseScene:
+    """A disc of 4 to 12 cm radius, as seen in the image, about a random pixel of the table's edge or of the room."""
+    while True:
+        X_WC = random_view(rng.uniform([-0.4, -0.4, 0.0], [0.4, 0.4, 0.1]), 0.0, intrinsics, rng)
+        view = render_depth_view(
+            [random_room(rng, X_WC)], np.eye(4)[None], X_WC=X_WC, intrinsics=intrinsics,
+            noise=HARD_NOISE if condition == "hard" else STRUCTURED_LIGHT, seed=seed,
+        )  # fmt: skip
+        table = horizontal_plane(0.0, X_WC)
+        measured = view.depth > 0
+        on_table = (np.abs(table.height(pixel_rays(intrinsics) * view.depth[..., None])) < 0.02) & measured
+        off_table = ndimage.binary_opening(measured & ~on_table, iterations=2)
+        near = ndimage.binary_dilation(off_table, iterations=6) & on_table if kind == "table edge" else off_table
+        if near.sum() < _MIN_PIXELS:
+            continue
+        row, column = np.argwhere(near)[rng.integers(near.sum())]
+        radius = rng.uniform(0.04, 0.12) * intrinsics.fx / view.depth[row, column]
+        v, u = np.indices(near.shape)
+        mask = ((v - row) ** 2 + (u - column) ** 2 < radius**2) & measured
+        if mask.sum() >= _MIN_PIXELS:
+            break
+    return PoseScene(
+        object="", condition=condition, depth=view.depth, intrinsics=intrinsics, mask=mask, true_mask=mask, X_WC=X_WC,
+        X_CO_true=np.full((4, 4), np.nan), table=table, visible_share=1.0, seed=seed,
     )  # fmt: skip
