@@ -45,9 +45,6 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     Path("nan.off").write_text("OFF\n4 4 0\nnan 0 0\nnan 0 0\nnan 1 0\nnan 0 1\n3 0 1 2\n3 0 1 3\n3 0 2 3\n3 1 2 3\n")
     Path("tiny.off").write_text(_TETRAHEDRON.format(1.25e-4))
     Path("vast.off").write_text(_TETRAHEDRON.format(1e7))
-    Path("words.xyz").write_text("here 1\nbe 2\ndragons 3\n")
-    Path("few.xyz").write_text("0 0 0\n1 1 1\n")
-    np.save("objects.npy", np.array([{"a": 1}]), allow_pickle=True)
     Path("file").write_text("not a folder")
     return tmp_path
 
@@ -76,7 +73,6 @@ SYNTHESISE = ("synthesise", "--hand", "panda", "--object", "gelatin_box", "--cou
         (("demo", "--seed", -1), "--seed is -1"),
         (("bench", "demo", "--seed", -1), "--seed is -1"),
         (("dataset", "build", "nowhere", "--seed", -1), "--seed is -1"),
-        (("pose", "mustard_bottle", "--seed", -1), "--seed is -1"),
         (("synthesise", "--hands", "panda", "--objects", "gelatin_box", "flat.off"), "flat"),
         (("synthesise", "--hands", "panda", "--objects", "bad_parts"), "none of 2 mesh files can be used"),
         (("synthesise", "--hand", "panda", "--all"), "Choose one way"),
@@ -119,12 +115,6 @@ SYNTHESISE = ("synthesise", "--hand", "panda", "--object", "gelatin_box", "--cou
         (("evaluate", "standin7"), "a run of this library: standins7, ycb7. Did you mean 'standins7'?"),
         (("retrieve", "ycb-7"), "Did you mean 'ycb7'?"),
         (("retrieve", "nowhere"), "neither a folder that `train` wrote nor a run of this library: standins7, ycb7"),
-        (("pose", "mustard_bottle"), "either --cloud"),
-        (("pose", "mustard_bottle", "--cloud", "none.ply"), "does not exist"),
-        (("pose", "mustard_bottle", "--cloud", "few.xyz"), "at least 20"),
-        (("pose", "mustard_bottle", "--cloud", "words.xyz"), "words.xyz"),
-        (("pose", "mustard_bottle", "--cloud", "objects.npy"), "objects.npy"),
-        (("pose", "mustard_bottle", "--depth", "file", "--fx", 500), "cannot be read"),
         (("demo", "--objects", "nowhere.stl"), "does not exist"),
         (("demo", "--objects", "empty_folder"), "holds no mesh"),
         (("demo", "--count", 1), "at least"),

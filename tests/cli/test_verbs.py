@@ -13,10 +13,8 @@ import pytest
 from PIL import Image
 
 import neuralgrasps
-from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.sim.camera import render_depth_view
 from tests.cli.conftest import Ended, Pipeline
 
 Call = Callable[..., Ended]
@@ -274,43 +272,3 @@ def test_retrieve(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
     assert same.result["results"][0]["contact_distance"] == pytest.approx(0, abs=1e-5)
     far = ng("retrieve", pipeline.run, *query, "--farthest", "--count", 1)
     assert far.result["results"][0]["code_distance"] >= max(r["code_distance"] for r in found.result["results"])
-
-
-@pytest.fixture(scope="module")
-def scan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
-    """A depth image of the mustard bottle on a table (mm), its mask and its cloud; and the true X_CO."""
-    folder = tmp_path_factory.mktemp("scan")
-    obj = neuralgrasps.load_object("mustard_bottle")
-    camera = Intrinsics(300, 300, 159.5, 119.5, 320, 240)
-    X_WC = look_at(np.array([0.4, 0.25, 0.3]), np.zeros(3))
-    view = render_depth_view([obj.mesh], np.eye(4)[None], X_WC=X_WC, intrinsics=camera)
-    mask = view.mesh_index == 0
-    Image.fromarray((view.depth * 1e4).round().astype(np.uint16)).save(folder / "depth.png")
-    Image.fromarray((mask * 255).astype(np.uint8)).save(folder / "mask.png")
-    points = back_project(view.depth, camera)
-    np.save(folder / "cloud.npy", points)
-    np.savetxt(folder / "cloud.xyz", points * 1e3)
-    return folder, np.linalg.inv(X_WC)
-
-
-def test_pose_from_depth_and_from_clouds(ng: Call, scan: tuple[Path, np.ndarray], tmp_path: Path) -> None:
-    folder, X_CO_true = scan
-    turned = X_CO_true @ np.diag([-1.0, -1.0, 1.0, 1.0])  # the bottle looks the same from behind
-    depth = ("--depth", folder / "depth.png", "--depth-scale", 10000, "--fx", 300, "--mask", folder / "mask.png")
-    for source in (
-        (*depth, "--out", tmp_path / "overlay.png"),
-        ("--cloud", folder / "cloud.npy"),
-        ("--cloud", folder / "cloud.xyz", "--cloud-scale", 1000),
-    ):
-        found = ng("pose", "mustard_bottle", *source)
-        assert found.code == 0 and found.result["converged"]
-        X_CO = np.array(found.result["X_CO_m"])
-        assert min(np.abs(X_CO - true).max() for true in (X_CO_true, turned)) < 0.01
-        assert found.result["residual_median_mm"] < 0.5
-    with Image.open(tmp_path / "overlay.png") as image:
-        assert image.size == (640, 480)
-
-
-def test_points_of_another_object_are_not_found(ng: Call, scan: tuple[Path, np.ndarray]) -> None:
-    found = ng("pose", "gelatin_box", "--cloud", scan[0] / "cloud.npy", "--cloud-scale", 1.3)
-    assert found.code == 1 and not found.result["converged"]

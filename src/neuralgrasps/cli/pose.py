@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from neuralgrasps.cli.compiling import BEGINS, compile_clock
 from neuralgrasps.cli.models import open_readable, warn_of_damage, warn_of_stand_ins
 from neuralgrasps.cli.options import Unit, check_seed
 from neuralgrasps.cli.outputs import check_writable
@@ -20,6 +22,7 @@ from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
+    from neuralgrasps.cli.compiling import CompileClock
     from neuralgrasps.objects.object_model import ObjectModel
 
 ObjectNames = Annotated[
@@ -56,18 +59,20 @@ def pose(
     check_seed(seed)
     sources = list_sources(source)
     _check_options(source, out, track=track)
-    models = _load(terminal, objects, unit)
-    files = None if out is None else PoseFiles(out, [obj.name for obj in models], frames=len(sources))
-    findings = _find_all(terminal, models, sources, source, seed=seed, track=track, files=files)
+    with compile_clock(lambda: terminal.complain(BEGINS)) as clock:
+        models = _load(terminal, objects, unit)
+        files = None if out is None else PoseFiles(out, [obj.name for obj in models], frames=len(sources))
+        findings = _find_all(terminal, models, sources, source, seed=seed, track=track, files=files, clock=clock)
     alone = len(models) == 1 and source.frames is None and (source.cloud is not None or source.mask is not None)
     for finding, record in findings:
         show_finding(terminal, finding, record, title=f"[{finding.name}]" if len(sources) > 1 else "", alone=alone)
     found = sum(len(finding.found) for finding, _ in findings)
     if len(sources) > 1:
         terminal.say(f"{counted(found, 'object')} found in {counted(len(sources), 'frame')}.")
-    result: dict[str, Any] = {"frames": [record for _, record in findings], "found": found, "seed": seed}
+    records = [record for _, record in findings]
+    result: dict[str, Any] = {"frames": records, "found": found, "seed": seed, "compile_s": clock.seconds}
     if alone:
-        result |= findings[0][1]["objects"][0] | {"wall_s": findings[0][0].wall_s}
+        result |= records[0]["objects"][0] | {"wall_s": findings[0][0].wall_s}
     if files is not None:
         result |= files.finish(terminal, result)
     return Outcome(result=result, exit_code=0 if found else 1)
@@ -91,10 +96,13 @@ def _check_options(source: PoseSource, out: Path | None, *, track: bool) -> None
 
 def _load(terminal: Terminal, objects: Sequence[str], unit: Unit) -> list[ObjectModel]:
     from neuralgrasps.objects.zoo import object_sources
+    from neuralgrasps.perception.pose_model import pose_model
 
     specs = object_sources(objects)
     with terminal.progress("reading the objects" if len(specs) > 1 else "reading the object"):
         models, files, skipped = open_readable(specs, named=tuple(objects), unit=unit)
+        for obj in models.values():
+            pose_model(obj)  # kept in memory: no part of the time per frame
     warn_of_damage(terminal, models.values())
     warn_of_stand_ins(terminal, files, models)
     for file, reason in skipped.items():
@@ -111,6 +119,7 @@ def _find_all(
     seed: int,
     track: bool,
     files: PoseFiles | None,
+    clock: CompileClock,
 ) -> list[tuple[Finding, dict[str, Any]]]:
     """Findings and their records, frame by frame; of several frames one may fail.
 
@@ -123,7 +132,10 @@ def _find_all(
     with terminal.progress("searching", "frames") as bar:
         for number, pending in enumerate(sources):
             try:
-                finding = find_in(models, pending.read(), source, seed=seed, before=before)
+                seen = pending.read()
+                start = time.perf_counter() - clock.seconds
+                finding = find_in(models, seen, source, seed=seed, before=before)
+                finding = replace(finding, wall_s=time.perf_counter() - clock.seconds - start)
                 before = finding if track else None
             except InputError as error:
                 failed.append(error)

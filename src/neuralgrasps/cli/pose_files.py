@@ -25,10 +25,8 @@ class PoseFiles:
     """
 
     def __init__(self, out: Path, names: Sequence[str], *, frames: int) -> None:
-        from neuralgrasps.report.pose_overlay import model_colour
-
         self._out, self._is_folder = out, out.suffix.lower() != ".png"
-        self._colours = {name: model_colour(i) for i, name in enumerate(names)}
+        self._names, self._colours = list(names), dict[str, str]()  # the first that are seen get the best colours
         self._on_page = set(np.linspace(0, frames - 1, min(frames, _SHOWN)).round().astype(int).tolist())
         self._frames, self._seen = frames, 0
         self._figures: list[Any] = []
@@ -37,13 +35,15 @@ class PoseFiles:
     def add(self, finding: Finding, record: dict[str, Any]) -> None:
         """Draw one frame; its picture's name goes into the record."""
         from neuralgrasps.report.figures import save_picture
-        from neuralgrasps.report.pose_overlay import render_pose_overlay
+        from neuralgrasps.report.pose_overlay import model_colour, render_pose_overlay
 
         number, self._seen = self._seen, self._seen + 1
         frame = finding.frame
         if frame is None:
             return
         image = frame.depth if frame.colour is None else frame.colour
+        for placed in finding.placed:
+            self._colours.setdefault(placed.obj.name, model_colour(len(self._colours)))
         models = [self._drawn(p) for p in reversed(finding.placed)]  # the surest on top
         overlay = render_pose_overlay(image, models, frame.intrinsics, depth=frame.depth)
         path = self._out / f"{_file_name(finding.name)}.png" if self._is_folder else self._out
@@ -73,9 +73,7 @@ class PoseFiles:
 
         left_out = self._frames - len(self._figures)
         notes = [f"{counted(left_out, 'frame')} of {self._frames} not shown here; see poses.json."] if left_out else []
-        report = pose_report(
-            self._figures, wanted=list(self._colours), notes=notes, **about_this_run(terminal.command, seed)
-        )
+        report = pose_report(self._figures, wanted=self._names, notes=notes, **about_this_run(terminal.command, seed))
         write_report(report, page, max_bytes=_PAGE_BYTES)
 
     def _drawn(self, placed: Any) -> Any:
@@ -86,7 +84,7 @@ class PoseFiles:
         return DrawnModel(
             mesh=placed.obj.mesh,
             X_CO=placed.pose.X_CO,
-            label=f"{pretty_name(placed.obj.name)} {percent_text(placed.pose.confidence)}",
+            label=f"{pretty_name(placed.obj.name)} {percent_text(placed.confidence)}",
             colour=self._colours[placed.obj.name],
         )
 

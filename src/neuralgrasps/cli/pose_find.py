@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -22,11 +21,26 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Placed:
-    """An object, its pose, and the number of measured points that decided it."""
+    """An object and its pose.
+
+    Attributes:
+        points: how many measured points decided it.
+        identity: probability that it is this object and not another one or none; 1 when it was said to be.
+    """
 
     obj: ObjectModel
     pose: PoseResult
     points: int
+    identity: float = 1.0
+
+    @property
+    def confidence(self) -> float:
+        """Probability that it is this object in this pose."""
+        return self.identity * self.pose.confidence
+
+    @property
+    def is_found(self) -> bool:
+        return self.confidence >= 0.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,12 +48,13 @@ class Finding:
     """What was found in one observation.
 
     Attributes:
-        placed: poses, surest first; the pose of a single object is kept when it is not `converged`, too.
+        placed: poses, surest first, also those that are less likely right than wrong.
         missing: names that were looked for and not found.
         frame: what was looked at; None for points alone.
         table: the plane that was found; None when it was given or not needed.
         identity: which object it is, name -> probability, "none" for none of them; of a mask or cloud alone.
         problem: why nothing could be looked for; note: what else to know.
+        wall_s: time taken, without what was compiled first.
     """
 
     name: str
@@ -54,7 +69,7 @@ class Finding:
 
     @property
     def found(self) -> tuple[Placed, ...]:
-        return tuple(p for p in self.placed if p.pose.converged)
+        return tuple(p for p in self.placed if p.is_found)
 
 
 def find_in(
@@ -67,9 +82,8 @@ def find_in(
     Raises:
         InputError: the observation cannot be used: no table, points that are not on the object, and so on.
     """
-    start = time.perf_counter()
     if not seen.is_one_object:
-        return _in_scene(models, seen, given, seed, before, start)
+        return _in_scene(models, seen, given, seed, before)
     assert seen.points_C is not None
     check_extent(list(models), seen.points_C)
     view: dict[str, Any] = {"points_C": seen.points_C} if seen.frame is None else _view(seen, given, seed)
@@ -80,11 +94,10 @@ def find_in(
     return Finding(
         name=seen.name,
         placed=placed,
-        missing=() if identity else tuple(p.obj.name for p in placed if not p.pose.converged),
+        missing=() if identity else tuple(p.obj.name for p in placed if not p.is_found),
         frame=seen.frame,
         identity=identity,
         note=flat,
-        wall_s=time.perf_counter() - start,
     )
 
 
@@ -112,13 +125,15 @@ def _one(
 
     named = identify_object(models, seed=seed, **view)
     placed = tuple(
-        Placed(obj=obj, pose=named.poses[obj.name], points=points) for obj in models if obj.name == named.name
+        Placed(obj=obj, pose=named.poses[obj.name], points=points, identity=named.probability[obj.name])
+        for obj in models
+        if obj.name == named.name
     )
     return placed, {**named.probability, "none": named.none_probability}
 
 
 def _in_scene(
-    models: Sequence[ObjectModel], seen: Seen, given: PoseSource, seed: int, before: Finding | None, start: float
+    models: Sequence[ObjectModel], seen: Seen, given: PoseSource, seed: int, before: Finding | None
 ) -> Finding:
     """Every model that stands on the table of a frame."""
     assert seen.frame is not None
@@ -129,15 +144,14 @@ def _in_scene(
     placed = _tracked(seen.frame, table, before) if before is not None and before.found else None
     if placed is None:
         placed = _searched(models, seen.frame, table, seed)
-    placed = sorted(placed, key=lambda p: -p.pose.confidence)
-    found = {p.obj.name for p in placed if p.pose.converged}
+    placed = sorted(placed, key=lambda p: -p.confidence)
+    found = {p.obj.name for p in placed if p.is_found}
     return Finding(
         name=seen.name,
         placed=tuple(placed),
         missing=tuple(obj.name for obj in models if obj.name not in found),
         frame=seen.frame,
         table=fit,
-        wall_s=time.perf_counter() - start,
     )
 
 
@@ -146,7 +160,7 @@ def _searched(models: Sequence[ObjectModel], frame: Frame, table: Plane, seed: i
 
     by_name = {obj.name: obj for obj in models}
     return [
-        Placed(obj=by_name[f.name], pose=f.pose, points=_measured(frame, f.mask))
+        Placed(obj=by_name[f.name], pose=f.pose, points=_measured(frame, f.mask), identity=f.probability)
         for f in find_objects(models, frame, table=table, seed=seed)
     ]
 
@@ -157,11 +171,12 @@ def _tracked(frame: Frame, table: Plane, before: Finding) -> list[Placed] | None
 
     placed = []
     for last in before.found:
-        pose = track_pose(last.obj, frame.depth, frame.intrinsics, last.pose.X_CO, table=table)
-        if not pose.converged:
-            return None
-        placed.append(Placed(obj=last.obj, pose=pose, points=last.points))
-    return placed
+        try:
+            pose = track_pose(last.obj, frame.depth, frame.intrinsics, last.pose.X_CO, table=table)
+        except InputError:
+            return None  # out of view
+        placed.append(Placed(obj=last.obj, pose=pose, points=last.points, identity=last.identity))
+    return placed if all(p.is_found for p in placed) else None
 
 
 def _find_table(frame: Frame, given: PoseSource, seed: int) -> TableFit:

@@ -26,8 +26,10 @@ def pose_record(placed: Placed) -> dict[str, Any]:
     position_sigma_mm, rotation_sigma_deg = sigmas(obj, pose.X_CO, pose.covariance)
     return {
         "object": obj.name,
-        "converged": pose.converged,
-        "confidence": pose.confidence,
+        "converged": placed.is_found,
+        "confidence": placed.confidence,
+        "pose_confidence": pose.confidence,
+        "identity_probability": placed.identity,
         "X_CO_m": pose.X_CO,
         "position_m": pose.X_CO[:3, 3],
         "quaternion_wxyz": quaternion_of(pose.X_CO),

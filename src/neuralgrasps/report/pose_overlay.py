@@ -18,8 +18,8 @@ from neuralgrasps.report.model_lines import ModelLines, model_lines
 
 # Bright hues that stand out from each other and, on their dark edging, from light and dark pictures.
 MODEL_COLOURS = (
-    "#37d3ff", "#ff7ad9", "#8cf04e", "#ffab3d", "#b9a2ff", "#fff04d", "#2ff0c0", "#ff6f61", "#e6b8ff", "#c9f5ff",
-    "#d5c27a", "#7fa8ff",
+    "#37d3ff", "#ff7ad9", "#8cf04e", "#ffab3d", "#b9a2ff", "#fff04d", "#2ff0c0", "#ff6f61", "#70b85c", "#ff29ff",
+    "#ffc2ff", "#c2ffc2",
 )  # fmt: skip
 TRUE_COLOUR = "#ffffff"
 _EDGING = np.array([8, 10, 14]) / 255.0

@@ -28,14 +28,15 @@ _FRAMES_TEXT = (
     "lines that do not meet the object's edges say more than any number below them."
 )
 NOTES = (
-    "Confidence is an estimate of the probability that the pose is right: the model's surface within 1 cm of the "
-    "object's on average, and no point of it off by more than a tenth of the object's diameter, up to the object's own "
-    "symmetries. It was calibrated on simulated depth images. A real camera, a reflecting object, or one "
-    "that resembles none of the models can break it: there, take it as a ranking, and look at the picture.",
+    "Confidence is an estimate of the probability that it is this object and that its pose is right: the model's "
+    "surface within 1 cm of the object's on average, and no point of it off by more than a tenth of the object's "
+    "diameter, up to the object's own symmetries. It was calibrated on simulated depth images. A real camera, a "
+    "reflecting object, or one that resembles none of the models can break it: there, take it as a ranking, and look "
+    "at the picture.",
     "Off the model is the median distance of the object's measured points to the model; explained is the share of them "
     "within tolerance. Both say how well the seen side fits. They cannot say that the unseen side is right.",
-    "± is one standard deviation in the least certain direction, from the fit of the seen points alone. Errors common to "
-    "all points are not in it: the bias of a depth camera (3 to 8 mm at 0.7 m is common), a model of another size.",
+    "± is one standard deviation in the least certain direction, from the fit of the seen points alone. What is common "
+    "to all points is not in it: the bias of a depth camera (3 to 8 mm at 0.7 m is usual), a model of another size.",
     "Other poses fit the view too, with the probability given; they differ from the best by the angle and distance "
     "given. Colour was not used: a box and its flipped self look the same to a depth camera.",
     "Positions are of the origin of the model's file, in the camera frame: x right, y down, z forward.",
