@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from neuralgrasps.geometry.camera import back_project
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.table import TableExtent, table_extent
+from neuralgrasps.perception.touching import CreaseConfig, split_touching
+
+_APART_PX = 6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,6 +31,9 @@ class ClusterConfig:
         margin_m: clusters reach at most this far beyond the table's outline: what stands at its edge hides the edge.
         least_share: of a connected surface lies above the table, below `max_height_m` and within the margin; a wall and
             the back of a chair go on elsewhere.
+        fragment_m2: clusters seen with less area are given to the neighbour they lost touch with, where the image shows
+            one within 6 pixels at nearly the same depth, or dropped.
+        creases: how things that touch are told apart; None leaves them together.
     """
 
     min_height_m: float = 0.006
@@ -37,6 +43,8 @@ class ClusterConfig:
     min_pixels: int = 50
     margin_m: float = 0.12
     least_share: float = 0.35
+    fragment_m2: float = 4e-4
+    creases: CreaseConfig | None = field(default_factory=CreaseConfig)
 
 
 def find_clusters(
@@ -44,7 +52,9 @@ def find_clusters(
 ) -> list[np.ndarray]:
     """Connected surfaces that stand on a table, one mask each.
 
-    Things that touch, without a step in depth between them, are one cluster.
+    Things that touch, without a step in depth between them, are told apart where the surface bends inwards between
+    them; others, as two boxes side by side with their faces in line, stay one cluster. A thing that another hides the
+    middle of gives two.
 
     Args:
         table: its top in the camera frame, normal up.
@@ -73,7 +83,10 @@ def find_clusters(
     outside = np.full(height.shape, -np.inf)
     if extent is not None:
         outside[above] = extent.outside_m(back_project(frame.depth, k, mask=above))
-    return _kept(labels, above & (outside < config.margin_m), outside < 0.0, config)
+    masks = _kept(labels, above & (outside < config.margin_m), outside < 0.0, config)
+    if config.creases is not None:
+        masks = split_touching(frame, masks, table, config=config.creases)
+    return _joined(frame, masks, config)
 
 
 def _kept(labels: np.ndarray, belongs: np.ndarray, inside: np.ndarray, config: ClusterConfig) -> list[np.ndarray]:
@@ -86,6 +99,35 @@ def _kept(labels: np.ndarray, belongs: np.ndarray, inside: np.ndarray, config: C
     order = np.flatnonzero(good)
     order = order[np.argsort(-size[order], kind="stable")]
     return [(labels == label) & belongs for label in order]
+
+
+def _joined(frame: Frame, masks: list[np.ndarray], config: ClusterConfig) -> list[np.ndarray]:
+    """Clusters with the fragments among them, smallest first, given to their neighbours or dropped; largest first."""
+    k = frame.intrinsics
+    labels = np.zeros(frame.depth.shape, np.int64)
+    for i, mask in enumerate(masks, start=1):
+        labels[mask] = i
+    for i in range(len(masks), 0, -1):
+        row, column = np.nonzero(labels == i)
+        if (frame.depth[row, column] ** 2).sum() / (k.fx * k.fy) < config.fragment_m2:
+            votes = _neighbours(frame.depth, labels, row, column, len(masks) + 1, _APART_PX, config.jump_m)
+            labels[row, column] = votes.argmax()  # 0 without any vote
+    sizes = np.bincount(labels.ravel(), minlength=len(masks) + 1)[1:]
+    return [labels == i + 1 for i in np.argsort(-sizes, kind="stable") if sizes[i]]
+
+
+@njit(cache=True, error_model="numpy")
+def _neighbours(depth, labels, row, column, count, reach, jump):  # type: ignore[no-untyped-def]
+    """Pixels of every other label within `reach` pixels and a jump of the pixels given, once for each of these."""
+    votes = np.zeros(count, np.int64)
+    for k in range(len(row)):
+        i, j = row[k], column[k]
+        for r in range(max(i - reach, 0), min(i + reach + 1, labels.shape[0])):
+            for c in range(max(j - reach, 0), min(j + reach + 1, labels.shape[1])):
+                if labels[r, c] and labels[r, c] != labels[i, j]:
+                    near = min(depth[i, j], depth[r, c])
+                    votes[labels[r, c]] += abs(depth[i, j] - depth[r, c]) < jump * max(near * near, 1.0)
+    return votes
 
 
 @njit(cache=True, error_model="numpy")
