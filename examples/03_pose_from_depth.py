@@ -1,39 +1,40 @@
-"""Find an object's pose in one depth image: python examples/03_pose_from_depth.py.
+"""Find an object's pose in one depth image: python examples/03_pose_from_depth.py [picture.png].
 
-Here the image is simulated; with a real camera, fill `depth` (metres) and `intrinsics` and keep the rest.
+Here the image is simulated, with a sensor's noise and things in front of the object. With a real camera, make the frame
+with `perception.frame_files.read_frame` (or `Frame(depth_m, intrinsics)`) and keep the rest.
 """
+
+import sys
 
 import numpy as np
 
 import neuralgrasps as ng
 from neuralgrasps.evaluate.pose import pose_errors
-from neuralgrasps.geometry.camera import back_project, look_at
-from neuralgrasps.geometry.primitives import box_mesh
-from neuralgrasps.objects.resting import resting_poses
-from neuralgrasps.perception.clusters import find_clusters
-from neuralgrasps.perception.frame import Frame
+from neuralgrasps.evaluate.pose_scenes import pose_scene
+from neuralgrasps.perception.find import find_objects
 from neuralgrasps.perception.table import find_table
-from neuralgrasps.sim.camera import DepthNoise, render_depth_view
+from neuralgrasps.report.figures import save_picture
+from neuralgrasps.report.pose_overlay import DrawnModel, render_pose_overlay
 
-obj = ng.load_object("mustard_bottle")
-intrinsics = ng.Intrinsics.from_fov(np.deg2rad(45.0), 320, 240)
-X_WC = look_at(np.array([0.5, -0.3, 0.5]), np.array([0.0, 0.0, 0.05]))
+models = [ng.load_object(name) for name in ("mustard_bottle", "cracker_box", "gelatin_box")]
+obj = models[0]
+scene = pose_scene(obj, "occluded", seed=4, distractors=models)
+frame, table = scene.frame, find_table(scene.frame).plane
 
-# the scene: the object in its most probable resting pose on a table whose top is at z = 0
-X_WO = resting_poses(obj.mesh.vertices, obj.com_O)[0][0]
-X_WT = np.eye(4)
-X_WT[2, 3] = -0.01
-view = render_depth_view(
-    [obj.mesh, box_mesh([0.5, 0.5, 0.01])], np.stack([X_WO, X_WT]), X_WC=X_WC, intrinsics=intrinsics, noise=DepthNoise()
-)
-
-frame = Frame(view.depth, intrinsics)
-mask = find_clusters(frame, find_table(frame).plane)[0]
-points_C = back_project(view.depth, intrinsics, mask=mask)
-result = ng.estimate_pose(obj, points_C, depth=view.depth, intrinsics=intrinsics)
-errors = pose_errors(obj, result.X_CO, np.linalg.inv(X_WC) @ X_WO)
-print(f"found: {result.converged}, {len(points_C)} points, {len(result.alternatives_X_CO)} poses compared")
+# the object's pixels are known, from a segmentation for example
+result = ng.estimate_pose(obj, depth=frame.depth, intrinsics=frame.intrinsics, mask=scene.mask, table=table)
+errors = pose_errors(obj, result.X_CO, scene.X_CO_true)
+print(f"{scene.visible_share:.0%} of the object is visible; the pose is right with {result.confidence:.0%} confidence")
 print(
     f"rotation {np.rad2deg(errors.rotation_rad):.2f} deg, translation {errors.translation_m * 1e3:.2f} mm off "
-    f"(modulo {len(obj.symmetry)} symmetries)"
+    f"(modulo {len(obj.symmetry)} symmetries); other poses that fit: {len(result.alternatives_X_CO) - 1}"
 )
+
+# nothing is known but the models: what stands on the table, and where?
+for found in find_objects(models, frame, table=table):
+    x, y, z = found.pose.X_CO[:3, 3]
+    print(f"{found.name}: {found.probability * found.pose.confidence:.0%} sure, at ({x:.3f}, {y:.3f}, {z:.3f}) m")
+
+if sys.argv[1:]:
+    drawn = DrawnModel(mesh=obj.mesh, X_CO=result.X_CO, label=obj.name)
+    save_picture(sys.argv[1], render_pose_overlay(frame.depth, [drawn], frame.intrinsics))

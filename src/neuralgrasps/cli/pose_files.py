@@ -81,11 +81,13 @@ class PoseFiles:
         from neuralgrasps.report.pose_page import percent_text
         from neuralgrasps.report.sections import pretty_name
 
+        doubt = "" if placed.is_found else "?"
         return DrawnModel(
             mesh=placed.obj.mesh,
             X_CO=placed.pose.X_CO,
-            label=f"{pretty_name(placed.obj.name)} {percent_text(placed.confidence)}",
+            label=f"{pretty_name(placed.obj.name)}{doubt} {percent_text(placed.confidence)}",
             colour=self._colours[placed.obj.name],
+            contour_only=not placed.is_found,
         )
 
 

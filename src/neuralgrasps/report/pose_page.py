@@ -23,7 +23,8 @@ _COLUMNS = (
     "other poses",
 )
 _FRAMES_TEXT = (
-    "Left, the camera's picture with the lines of every found model; lines hidden behind something measured are faint. "
+    "Left, the camera's picture with the lines of every found model; lines hidden behind something measured are faint, "
+    "and a question mark stands on a pose that is less likely right than wrong. "
     "Right, the measured depth: near light, far dark, plain grey where nothing was measured. Look at the pictures: "
     "lines that do not meet the object's edges say more than any number below them."
 )
