@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from neuralgrasps.errors import ShapeError
-from neuralgrasps.evaluate.pose import pose_errors
+from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.evaluate.pose import FAILED, PoseErrors, diameter_m, pose_errors, score_by_visibility, score_poses
 from neuralgrasps.geometry.primitives import box_mesh, cylinder_mesh, sphere_mesh
 
 
@@ -97,3 +97,63 @@ def test_moving_camera_and_object_together_changes_nothing(box):
 def test_wrong_shapes_are_named(box):
     with pytest.raises(ShapeError, match="X_CO has shape"):
         pose_errors(box, np.eye(3), TRUE)
+
+
+def _errors(add_s_mm: float, mssd_mm: float, degrees: float = 0.0, shift_mm: float = 0.0) -> PoseErrors:
+    return PoseErrors(
+        add_s_m=1e-3 * add_s_mm,
+        mssd_m=1e-3 * mssd_mm,
+        rotation_rad=np.deg2rad(degrees),
+        translation_m=1e-3 * shift_mm,
+    )
+
+
+def test_scores_of_three_estimates_by_hand():
+    errors = [_errors(2.0, 4.0, 1.0, 0.5), _errors(7.0, 22.0, 5.0, 3.0), _errors(150.0, 300.0, 90.0, 100.0)]
+    score = score_poses(errors, [0.2, 0.2, 0.2])
+    assert score["count"] == 3
+    assert score["add_s_auc"] == pytest.approx(100 * (0.98 + 0.93 + 0.0) / 3)
+    assert score["under_5mm"] == pytest.approx(1 / 3) and score["under_1cm"] == pytest.approx(2 / 3)
+    assert score["mssd_01d"] == pytest.approx(1 / 3)  # 4 of 20 mm; 22 and 300 are more
+    # of ten thresholds from 10 to 100 mm: 4 mm passes 10, 22 mm passes 8, 300 mm none
+    assert score["ar_mssd"] == pytest.approx((10 + 8 + 0) / 30)
+    assert score["add_s_median_mm"] == pytest.approx(7.0) and score["mssd_median_mm"] == pytest.approx(22.0)
+    assert score["rotation_median_deg"] == pytest.approx(5.0) and score["translation_median_mm"] == pytest.approx(3.0)
+
+
+def test_each_estimate_is_measured_by_its_own_diameter():
+    errors = [_errors(1.0, 15.0), _errors(1.0, 15.0)]
+    assert score_poses(errors, [0.2, 0.1])["mssd_01d"] == pytest.approx(0.5)
+
+
+def test_the_area_is_that_under_the_accuracy_threshold_curve():
+    add_s = np.random.default_rng(0).gamma(2.0, 0.02, 50)
+    thresholds = np.linspace(0.0, 0.1, 20001)
+    area = np.trapezoid((add_s[:, None] < thresholds).mean(axis=0), thresholds) / 0.1
+    score = score_poses([_errors(1e3 * e, 0.0) for e in add_s], [0.1] * 50)
+    assert score["add_s_auc"] == pytest.approx(100 * area, abs=0.01)
+
+
+def test_a_failed_estimate_counts_as_a_miss():
+    score = score_poses([_errors(0.0, 0.0), FAILED, FAILED], [0.1] * 3)
+    assert score["add_s_auc"] == pytest.approx(100 / 3)
+    assert score["mssd_01d"] == score["ar_mssd"] == score["under_1cm"] == pytest.approx(1 / 3)
+    assert np.isinf(score["rotation_median_deg"])
+
+
+def test_bands_hold_what_is_visible_within_them():
+    shares = [0.3, 0.45, 0.5, 0.7, 0.9, 1.0]
+    scores = score_by_visibility([_errors(k, 1.0) for k in range(6)], [0.1] * 6, shares)
+    assert {name: score["count"] for name, score in scores.items()} == {"25-45": 2, "45-65": 1, "65-80": 1, "80-100": 2}
+    assert scores["45-65"]["add_s_median_mm"] == pytest.approx(2.0)
+
+
+def test_scores_need_estimates_and_a_diameter_for_each():
+    for errors, diameters in (([], []), ([FAILED], [0.1, 0.2])):
+        with pytest.raises(InputError, match="expected N of each"):
+            score_poses(errors, diameters)
+
+
+def test_the_diameter_is_the_longest_diagonal(box, ball):
+    assert diameter_m(box) == pytest.approx(2 * np.linalg.norm([0.02, 0.03, 0.05]), rel=1e-12)
+    assert diameter_m(ball) == pytest.approx(0.08, rel=1e-3)

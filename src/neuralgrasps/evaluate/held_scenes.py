@@ -86,6 +86,7 @@ def held_scene(
             f"held_scene got grasp {index} of {len(grasps)} of '{grasps.object}' by '{grasps.hand}', with the object "
             f"'{obj.name}' and the hand '{hand.name}'; expected the same names, and an index in the set."
         )
+    index %= len(grasps)
     hand_body = body_of_mesh(hand_mesh(hand, grasps.q[index], segments=16), seed=0)
     best, off = None, np.inf
     for attempt in range(_REDRAWS):
@@ -132,7 +133,7 @@ def _scene(
     touches = np.isfinite(grasps.contact_points_O[index]).all(axis=1)
     points = transform_points_np(X_CH @ X_HO, grasps.contact_points_O[index][touches])
     return HeldScene(
-        object=obj.name, hand=hand.name, grasp=index % len(grasps), q=grasps.q[index], depth=sight.depth,
+        object=obj.name, hand=hand.name, grasp=index, q=grasps.q[index], depth=sight.depth,
         intrinsics=intrinsics, mask=sight.mask, true_mask=sight.true_mask, X_WC=X_WC, X_CO_true=X_CO,
         X_CH_true=X_CH_true, X_CH=X_CH,
         contact_points_C=points + rng.standard_normal(points.shape) * CONTACT_M / np.sqrt(3.0),
