@@ -23,7 +23,7 @@ from neuralgrasps.errors import InputError
 
 def bench(
     terminal: Terminal,
-    name: Annotated[Literal["demo", "synthesis", "latent"], tyro.conf.Positional],
+    name: Annotated[Literal["demo", "synthesis", "latent", "pose"], tyro.conf.Positional],
     /,
     *,
     objects: AllNames = (),
@@ -39,22 +39,24 @@ def bench(
     """Run a benchmark and print its figures; with --json as one object {name, machine, config, figures, ...}.
 
     Args:
-        name: demo, the whole path into a temporary folder; synthesis, speed and quality of grasps pair by pair; or
-            latent, cost and quality of the latent space.
+        name: demo, the whole path into a temporary folder; synthesis, speed and quality of grasps pair by pair;
+            latent, cost and quality of the latent space; or pose, errors and speed of pose estimates beside others'.
         objects: names, mesh files or folders of mesh files; default the three objects of the demo, or all built-in;
-            latent: the seven scans where they were imported or downloaded.
-        hands: default the five built-in hands.
-        count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent.
+            latent and pose: the scans where they were imported or downloaded.
+        hands: default the five built-in hands; not of pose.
+        count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent; pose: scenes per object and
+            set, default 24, with --quick 10.
         seed: root of every random number.
         workers: processes.
         quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects; latent: the shipped run, and
-            two objects trained anew.
+            two objects trained anew; pose: fewer scenes.
         unseen_hand: synthesis: also time 20 grasps of the soup can by this URDF or MJCF in a fresh process.
         run: latent: measure this run, by folder or shipped name, and train two of its objects anew.
         grasps: latent: folder of grasps; those of all pairs are made there first unless they are.
     """
     from neuralgrasps.cli.bench_demo import bench_demo
     from neuralgrasps.cli.bench_latent import bench_latent
+    from neuralgrasps.cli.bench_pose import bench_pose
     from neuralgrasps.cli.bench_synthesis import bench_synthesis
 
     check_seed(seed)
@@ -67,11 +69,16 @@ def bench(
         raise InputError(f"--unseen-hand is of 'bench synthesis'; 'bench {name}' takes every hand with --hands.")
     if name != "latent" and (run is not None or grasps is not None):
         raise InputError(f"--run and --grasps are of 'bench latent'; 'bench {name}' makes its own.")
+    if name == "pose" and hands:
+        raise InputError("--hands is not of 'bench pose': the hands are those of the shipped run.")
     measured_on = machine()
     if name == "demo":
         result = bench_demo(terminal, **options)
     elif name == "latent":
         result = bench_latent(terminal, **options, run=run, grasps=grasps)
+    elif name == "pose":
+        del options["hands"]
+        result = bench_pose(terminal, **options)
     else:
         result = bench_synthesis(terminal, **options, unseen_hand=unseen_hand)
     terminal.table(("figure", "value"), [(key, float(value)) for key, value in result["figures"].items()])
