@@ -111,7 +111,8 @@ def observe_depth(
     points = check_points(_shuffled(points, seed)[:_POINTS])
     cut = _window(box, intrinsics, reach_m / max(float(np.percentile(points[:1000, 2], 5)), 0.05), stride)
     z = np.asarray(depth[cut], np.float64)
-    small_mask, z = np.ascontiguousarray(mask[cut]), np.where(np.isfinite(z) & (z > 0.0), z, 0.0)
+    small_mask = np.ascontiguousarray(mask[cut])
+    z = _filled(np.where(np.isfinite(z) & (z > 0.0), z, 0.0), small_mask)
     top, left = cut[0].start, cut[1].start
     camera = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx - left, intrinsics.cy - top]) / stride
     image_box = np.array([-left, intrinsics.width - 1 - left, -top, intrinsics.height - 1 - top]) / stride
@@ -162,7 +163,7 @@ def observe_around(
     points = _shuffled(points[:count], seed)
     centroid = points.mean(axis=0) if count else centre
     return Observation(
-        points, centroid, small, distance_outside(mask), camera, image_box, np.ones(4), _flat(table)
+        points, centroid, _filled(small, mask), distance_outside(mask), camera, image_box, np.ones(4), _flat(table)
     )
 
 
@@ -232,7 +233,10 @@ def _window(box: np.ndarray, k: Intrinsics, reach: float, stride: int) -> tuple[
 
 @njit(cache=True, error_model="numpy")
 def _collect(depth, mask, box, fx, fy, cx, cy, least, out):  # type: ignore[no-untyped-def]
-    """Points of the mask's pixels of whose neighbourhood (3 x 3) at least so many continue the surface; their number."""
+    """Mean points of the 3 x 3 neighbourhoods of the mask's pixels, where at least so many continue the surface.
+
+    Returns their number.
+    """
     height, width = depth.shape
     count = 0
     for i in range(box[0], box[1]):
@@ -242,12 +246,17 @@ def _collect(depth, mask, box, fx, fy, cx, cy, least, out):  # type: ignore[no-u
                 continue
             slack = 4.0 * z / fx + 0.004 * z * z + 0.001
             near = 0
+            x, y, total = 0.0, 0.0, 0.0
             for a in range(max(i - 1, 0), min(i + 2, height)):
                 for b in range(max(j - 1, 0), min(j + 2, width)):
                     if mask[a, b] and abs(depth[a, b] - z) < slack:
                         near += 1
+                        x += (b - cx) / fx * depth[a, b]
+                        y += (a - cy) / fy * depth[a, b]
+                        total += depth[a, b]
             if near >= least:
-                out[count, 0], out[count, 1], out[count, 2] = (j - cx) / fx * z, (i - cy) / fy * z, z
+                near = max(near, 1)
+                out[count, 0], out[count, 1], out[count, 2] = x / near, y / near, total / near
                 count += 1
     return count
 
@@ -313,6 +322,28 @@ def distance_outside(mask):  # type: ignore[no-untyped-def]
             while edge[count + 1] < j:
                 count += 1
             out[i, j] = np.sqrt((j - place[count]) ** 2 + square[i, place[count]])
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _filled(depth, mask):  # type: ignore[no-untyped-def]
+    """The image with holes outside the mask closed by the nearest surface within two pixels.
+
+    Sensors lose pixels at edges and on surfaces seen at a flat angle: what is lost next to a thing in front is its.
+    """
+    height, width = depth.shape
+    out = depth.copy()
+    for i in range(height):
+        for j in range(width):
+            if depth[i, j] > 0.0 or mask[i, j]:
+                continue
+            least = 0.0
+            for a in range(max(i - 2, 0), min(i + 3, height)):
+                for b in range(max(j - 2, 0), min(j + 3, width)):
+                    z = depth[a, b]
+                    if z > 0.0 and (least == 0.0 or z < least):
+                        least = z
+            out[i, j] = least
     return out
 
 

@@ -33,7 +33,7 @@ class Terms(NamedTuple):
     model_points: int
 
 
-UNMEASURED = 0.3  # weight of pixels without a measurement: a weak hint only
+UNMEASURED = 0.1  # weight of pixels without a measurement: a weak hint only
 FREE_HUBER_M = 0.010
 TABLE_HUBER_M = 0.008
 REST_LIMIT = 0.25  # rad: farther from every stable pose, the object does not rest on the table
