@@ -210,6 +210,15 @@ def test_a_lone_label_stands_just_above_its_target():
     assert abs(column + 40 - 170) <= 8
 
 
+def test_a_label_covers_neither_its_target_nor_another():
+    own, other = np.zeros((240, 320), bool), np.zeros((240, 320), bool)
+    own[120:180, 140:200] = True
+    other[60:118, 60:280] = True  # right above, where the label would stand
+    spots = place_labels([(16, 80), (16, 60)], [own, other])
+    for (row, column), (height, width) in zip(spots, [(16, 80), (16, 60)], strict=True):
+        assert not (own | other)[row : row + height, column : column + width].any()
+
+
 def test_a_crowded_picture_still_gets_every_label():
     everywhere = np.ones((60, 90), bool)
     spots = place_labels([(20, 80)] * 4, [everywhere] * 4)
