@@ -21,7 +21,8 @@ class PoseConfig:
     Attributes:
         yaw_steps: turns of every stable pose about the table's normal.
         coarse_points, coarse_model_points: observed points and points of the model in the coarse score.
-        slid, coarse_kept, middle_kept, finalists: poses that survive each stage.
+        slid, coarse_kept, middle_kept, finalists: poses that survive each stage; wide: times so many where the best
+            pose costs more than `wide_cost`.
         kernels_m: scale of the Geman-McClure loss in each round of polishing; points, model_points, steps likewise.
         clip_m: residuals count at most this much in coarse scores.
         tolerance_m: distance at which a point counts as half explained.
@@ -38,6 +39,8 @@ class PoseConfig:
     coarse_kept: int = 48
     middle_kept: int = 16
     finalists: int = 4
+    wide: int = 4
+    wide_cost: float = 0.35
     kernels_m: tuple[float, float, float] = (0.010, 0.006, 0.004)
     points: tuple[int, int, int] = (120, 250, 1000)
     model_points: tuple[int, int, int] = (64, 128, 384)
@@ -49,6 +52,7 @@ class PoseConfig:
     rest_weight: float = 0.05
     margin_m: float = 0.006
     ray_cells: tuple[int, int, int] = (120, 250, 800)
+    fine_weight: float = 0.4
     contact_weight: float = 0.1
 
     def terms(self, stage: int) -> Terms:
@@ -74,17 +78,29 @@ class Candidates:
 
 def search(model: PoseModel, scene: Observation, contacts: np.ndarray, config: PoseConfig) -> Candidates:
     """Poses of a model that explain an observation; contacts: (K, 4), see `normal_equations`."""
-    X = start_poses(model, scene, yaw_steps=config.yaw_steps)
-    X = X[np.argsort(_coarse(model, scene, X, config), kind="stable")[: config.slid]]
+    starts = start_poses(model, scene, yaw_steps=config.yaw_steps)
+    order = np.argsort(_coarse(model, scene, starts, config), kind="stable")
+    found = _descend(model, scene, contacts, starts[order[: config.slid]], config, 1)
+    if found.cost[0] > config.wide_cost and config.wide > 1:
+        wide = _descend(model, scene, contacts, starts[order[: config.wide * config.slid]], config, config.wide)
+        found = wide if wide.cost[0] < found.cost[0] else found
+    return found
+
+
+def _descend(
+    model: PoseModel, scene: Observation, contacts: np.ndarray, X: np.ndarray, config: PoseConfig, width: int
+) -> Candidates:
+    """From start poses to candidates, `width` times as many at each stage as the configuration says."""
     slide(model, scene, X, config.coarse_points, 3)
-    X = _best(model, X, _coarse(model, scene, X, config), config.coarse_kept)
+    X = _best(model, X, _coarse(model, scene, X, config), width * config.coarse_kept)
     cost = np.empty(len(X))
     polish(model, scene, contacts, config.terms(0), X, config.steps[0], cost)
-    X = _best(model, X, cost, config.middle_kept)
-    X = polished(model, scene, contacts, X, config, 1).X_CO[: config.finalists]
+    X = _best(model, X, cost, width * config.middle_kept)
+    finalists = width * config.finalists
+    X = polished(model, scene, contacts, X, config, 1).X_CO[:finalists]
     # what the object's near symmetry made equal so far is told apart now
     X = (X[:, None] @ model.turns).reshape(-1, 4, 4)
-    X = polished(model, scene, contacts, X, config, 1).X_CO[: config.finalists]
+    X = polished(model, scene, contacts, X, config, 1).X_CO[:finalists]
     return polished(model, scene, contacts, X, config, 2)
 
 
@@ -106,7 +122,7 @@ def polished(
     polish(model, scene, contacts, config.terms(stage), X, config.steps[stage], cost)
     cost /= min(config.points[stage], len(scene.points)) * config.kernels_m[stage] ** 2
     evidence = evidence_of(model, scene, X, config, stage)
-    cost = evidence[:, COST] + 0.2 * cost
+    cost = evidence[:, COST] + config.fine_weight * cost
     order = distinct(model, X, cost, len(X), up_to_turns=False)
     return Candidates(X[order], cost[order], evidence[order])
 
