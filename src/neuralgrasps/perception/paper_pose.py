@@ -178,7 +178,8 @@ def contact_pose(
         points_C: (M, 3) observed points on the object, camera frame, metres; M >= 20.
         X_CH: (4, 4) base of the gripper in the camera frame, at or near its grasp.
         hand: the gripper, of the run.
-        surface_O: (P, 3) object points that the run's contact maps are of; None where the field knows them.
+        surface_O: (P, 3) object points that the contact maps are of, for an `MlpRun` its `ObjectModel.points_O`; None
+            where the field knows them.
         config: knobs; seed: of the draw of points and starts.
     Returns:
         The refined pose; the baseline with a `note` where no point of the nearest grasp is above the threshold.
