@@ -206,24 +206,21 @@ def test_a_bop_scene_is_read(ng: Call, room: Room, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "000007.png").is_file()
 
 
-def test_a_real_frame(ng: Call, assets: Path, tmp_path: Path) -> None:
-    """Sugar box and soup can in a real image: their models are drawn where a person sees them (boxes by hand)."""
-    seen = {"004_sugar_box": (192, 285, 332, 446), "005_tomato_soup_can": (374, 255, 498, 358)}
-    meshes = [assets / "ycb" / f"{name}.ply" for name in seen]
-    frame = assets / "rgbd_ycb" / "000002"
+def test_a_real_frame(ng: Call, assets: Path) -> None:
+    """The sugar box among other things in a real image: drawn where a person sees it (its box marked by hand)."""
+    mesh, frame = assets / "ycb" / "004_sugar_box.ply", assets / "rgbd_ycb" / "000002"
     camera = ("--fx", 1066.778, "--fy", 1067.487, "--cx", 312.987, "--cy", 241.311, "--depth-scale", 10000)
-    found = ng("pose", *meshes, "--depth", f"{frame}-depth.png", "--colour", f"{frame}-color.png", *camera)
+    found = ng("pose", mesh, "--depth", f"{frame}-depth.png", "--colour", f"{frame}-color.png", *camera)
     assert found.code == 0, found.err
-    intrinsics = Intrinsics(1066.778, 1067.487, 312.987, 241.311, 640, 480)
-    placed = {o["object"]: o for o in found.result["frames"][0]["objects"] if o["confidence"] > 0.9}
-    assert set(placed) == set(seen)
-    for name, (left, top, right, bottom) in seen.items():
-        X_CO = np.array(placed[name]["X_CO_m"])
-        vertices = load_mesh(assets / "ycb" / f"{name}.ply").mesh.vertices
-        pixels = project(vertices @ X_CO[:3, :3].T + X_CO[:3, 3], intrinsics)
-        corners = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
-        assert np.abs(corners - [left, top, right, bottom]).max() < 15, name
-        assert placed[name]["residual_median_mm"] < 5
+    placed = max(found.result["frames"][0]["objects"], key=lambda o: o["confidence"])
+    X_CO = np.array(placed["X_CO_m"])
+    pixels = project(
+        load_mesh(mesh).mesh.vertices @ X_CO[:3, :3].T + X_CO[:3, 3],
+        Intrinsics(1066.778, 1067.487, 312.987, 241.311, 640, 480),
+    )
+    corners = np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])
+    assert np.abs(corners - [192, 285, 332, 446]).max() < 15
+    assert placed["confidence"] > 0.9 and placed["residual_median_mm"] < 5
 
 
 def test_spread_leaves_out_turns_that_no_one_can_see(make_object: Callable[..., ObjectModel]) -> None:

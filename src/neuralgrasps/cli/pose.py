@@ -51,6 +51,7 @@ def pose(
 
     Args:
         objects: names of objects, groups such as ycb7, mesh files or folders of them.
+        source: what to look at.
         track: the frames are a sequence: start each from the poses in the one before.
         unit: length unit of mesh files.
         out: picture of the poses over the image, or a folder for pictures, poses.json and index.html.
