@@ -145,12 +145,13 @@ def background_scene(
     for attempt in range(_REDRAWS):
         rng = child_rng(seed, "background", kind, attempt)
         if kind in PATCHES:
-            return _patch(kind, "hard" if condition == "hard" else "easy", seed=seed, rng=rng, intrinsics=intrinsics)
-        mesh = unknown_shape(kind, rng)
-        target = _stand(body_of_mesh(mesh, seed=seed), *resting_poses(mesh.vertices, _middle(mesh)), rng)
-        scene = _scene_of(
-            target, "", condition, _share(rng), seed=seed, rng=rng, others=distractors, intrinsics=intrinsics
-        )
+            scene = _patch(kind, "hard" if condition == "hard" else "easy", seed=seed, rng=rng, intrinsics=intrinsics)
+        else:
+            mesh = unknown_shape(kind, rng)
+            target = _stand(body_of_mesh(mesh, seed=seed), *resting_poses(mesh.vertices, _middle(mesh)), rng)
+            scene = _scene_of(
+                target, "", condition, _share(rng), seed=seed, rng=rng, others=distractors, intrinsics=intrinsics
+            )
         if scene is not None:
             return replace(scene, X_CO_true=np.full((4, 4), np.nan))
     raise InputError(f"seed {seed} gave no {condition} scene of a {kind} in {_REDRAWS} draws; expected another seed.")
@@ -215,27 +216,26 @@ def _scene_of(
 
 def _patch(
     kind: str, condition: Condition, *, seed: int, rng: np.random.Generator, intrinsics: Intrinsics
-) -> PoseScene:
-    """A disc of 4 to 12 cm radius, as seen in the image, about a random pixel of the table's edge or of the room."""
-    while True:
-        X_WC = random_view(rng.uniform([-0.4, -0.4, 0.0], [0.4, 0.4, 0.1]), 0.0, intrinsics, rng)
-        view = render_depth_view(
-            [random_room(rng, X_WC)], np.eye(4)[None], X_WC=X_WC, intrinsics=intrinsics,
-            noise=HARD_NOISE if condition == "hard" else STRUCTURED_LIGHT, seed=seed,
-        )  # fmt: skip
-        table = horizontal_plane(0.0, X_WC)
-        measured = view.depth > 0
-        on_table = (np.abs(table.height(pixel_rays(intrinsics) * view.depth[..., None])) < 0.02) & measured
-        off_table = ndimage.binary_opening(measured & ~on_table, iterations=2)
-        near = ndimage.binary_dilation(off_table, iterations=6) & on_table if kind == "table edge" else off_table
-        if near.sum() < _MIN_PIXELS:
-            continue
-        row, column = np.argwhere(near)[rng.integers(near.sum())]
-        radius = rng.uniform(0.04, 0.12) * intrinsics.fx / view.depth[row, column]
-        v, u = np.indices(near.shape)
-        mask = ((v - row) ** 2 + (u - column) ** 2 < radius**2) & measured
-        if mask.sum() >= _MIN_PIXELS:
-            break
+) -> PoseScene | None:
+    """A disc of 4 to 12 cm radius about a random pixel of the table's edge or of what is behind; None if too small."""
+    X_WC = random_view(rng.uniform([-0.4, -0.4, 0.0], [0.4, 0.4, 0.1]), 0.0, intrinsics, rng)
+    view = render_depth_view(
+        [random_room(rng, X_WC)], np.eye(4)[None], X_WC=X_WC, intrinsics=intrinsics,
+        noise=HARD_NOISE if condition == "hard" else STRUCTURED_LIGHT, seed=seed,
+    )  # fmt: skip
+    table = horizontal_plane(0.0, X_WC)
+    measured = view.depth > 0
+    on_table = (np.abs(table.height(pixel_rays(intrinsics) * view.depth[..., None])) < 0.02) & measured
+    behind = ndimage.binary_opening(measured & ~on_table, iterations=2)
+    places = np.argwhere(ndimage.binary_dilation(behind, iterations=6) & on_table if kind == "table edge" else behind)
+    if not len(places):
+        return None
+    row, column = places[rng.integers(len(places))]
+    radius = rng.uniform(0.04, 0.12) * intrinsics.fx / view.depth[row, column]
+    v, u = np.indices(measured.shape)
+    mask = ((v - row) ** 2 + (u - column) ** 2 < radius**2) & measured
+    if mask.sum() < _MIN_PIXELS:
+        return None
     return PoseScene(
         object="", condition=condition, depth=view.depth, intrinsics=intrinsics, mask=mask, true_mask=mask, X_WC=X_WC,
         X_CO_true=np.full((4, 4), np.nan), table=table, visible_share=1.0, seed=seed,
