@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics, look_at
 from neuralgrasps.geometry.plane import Plane, horizontal_plane
-from neuralgrasps.geometry.primitives import box_mesh
+from neuralgrasps.geometry.primitives import box_mesh, cylinder_mesh
 from neuralgrasps.perception.clusters import ClusterConfig, find_clusters
 from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.table import find_table
 from neuralgrasps.sim.camera import DepthNoise, render_depth_view
 
 CAMERA = Intrinsics.from_fov(np.deg2rad(45.0), 200, 150)
@@ -98,6 +100,109 @@ def test_pixels_without_a_measurement_belong_to_nothing_and_cut_nothing(nothing)
     (mask,) = _clusters(depth)
     assert not mask[::7, ::5].any()
     assert _overlap(mask, view.mesh_index == 1) > 0.8
+
+
+FINE = Intrinsics.from_fov(np.deg2rad(45.0), 480, 360)
+
+
+def _seen(meshes, poses, X_WC, *, noise=None):
+    """Depth of meshes and of a table of 0.6 x 0.6 m; the table is the last mesh."""
+    X_WT = np.eye(4)
+    X_WT[2, 3] = -0.01
+    meshes = [*meshes, box_mesh([0.3, 0.3, 0.01])]
+    return render_depth_view(meshes, np.stack([*poses, X_WT]), X_WC=X_WC, intrinsics=FINE, noise=noise)
+
+
+def _at(x, y, z, turn_deg=0.0):
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    X[:3, 3] = x, y, z
+    return X
+
+
+def _found(view, **knobs):
+    frame = Frame(view.depth, view.intrinsics)
+    fit = find_table(frame)
+    return find_clusters(frame, fit.plane, extent=fit.extent, config=ClusterConfig(**knobs))
+
+
+FRONT = look_at(np.array([0.65, 0.0, 0.5]), np.array([0.0, 0.0, 0.03]))
+CAN, BRICK, TALL = cylinder_mesh(0.035, 0.05), box_mesh([0.03, 0.05, 0.04]), box_mesh([0.03, 0.05, 0.06])
+TOUCHING = {
+    "cans": ([CAN, CAN], [_at(0.0, -0.0355, 0.05), _at(0.0, 0.0355, 0.05)]),
+    "can and box": ([CAN, BRICK], [_at(0.0, -0.0355, 0.05), _at(0.0, 0.0505, 0.04)]),
+    "boxes in a corner": ([TALL, BRICK], [_at(-0.05, -0.02, 0.06), _at(0.03, 0.05, 0.04, 90.0)]),
+}
+
+
+@pytest.mark.parametrize("noise", [None, DepthNoise()])
+@pytest.mark.parametrize("name", sorted(TOUCHING))
+def test_things_that_touch_are_told_apart(name, noise):
+    view = _seen(*TOUCHING[name], FRONT, noise=noise)
+    assert len(_found(view, creases=None)) == 1
+    masks = _found(view)
+    assert len(masks) == 2
+    for index in (0, 1):
+        truth = (view.mesh_index == index) & (view.depth > 0)
+        assert max(_overlap(mask, truth) for mask in masks) > 0.8
+
+
+@pytest.mark.parametrize("noise", [None, DepthNoise()])
+def test_one_thing_is_not_cut(noise):
+    jug = [cylinder_mesh(0.05, 0.08), box_mesh([0.035, 0.008, 0.035])]  # its handle hangs in the air
+    brick = [box_mesh([0.03, 0.05, 0.04])]
+    side = look_at(np.array([0.2, 0.6, 0.4]), np.array([0.0, 0.0, 0.05]))
+    for meshes, poses in ((jug, [_at(0, 0, 0.08), _at(0.075, 0, 0.1)]), (brick, [_at(0, 0, 0.04, 30.0)])):
+        (mask,) = _found(_seen(meshes, poses, side, noise=noise))
+        assert mask.sum() > 500
+
+
+def test_boxes_with_their_faces_in_line_stay_one_cluster():
+    assert len(_found(_seen([BRICK, BRICK], [_at(0, -0.05, 0.04), _at(0, 0.05, 0.04)], FRONT))) == 1
+
+
+def test_a_fragment_is_given_back_to_its_neighbour_or_dropped():
+    view = _seen([CAN], [_at(0.0, 0.0, 0.05)], FRONT)
+    height = Frame(view.depth, FINE).height(horizontal_plane(0.0, FRONT))
+    depth = np.where(np.abs(height - 0.09) < 0.004, 0.0, view.depth)  # a ring around the can was not measured
+    depth = np.where(height > 0.0998, 0.0, depth)  # nor its lid: a narrow strip of the side is left above the ring
+    strip = (height > 0.094) & (depth > 0)
+    assert 50 < strip.sum() < 400
+    apart = Frame(depth, FINE)
+    table = horizontal_plane(0.0, FRONT)
+    assert len(find_clusters(apart, table, config=ClusterConfig(fragment_m2=0.0))) == 2
+    (mask,) = find_clusters(apart, table)
+    assert mask[strip].mean() > 0.9
+    alone = Frame(np.where((height > 0.01) & ~strip, 0.0, view.depth), FINE)
+    assert find_clusters(alone, table) == []
+
+
+def test_only_what_stands_on_the_table_is_found():
+    eye = look_at(np.array([0.7, 0.0, 0.55]), np.array([-0.1, 0.0, 0.0]))
+    wall, stool, floor = box_mesh([0.01, 1.5, 1.0]), box_mesh([0.15, 0.15, 0.35]), box_mesh([2.0, 2.0, 0.01])
+    meshes, poses = [CAN, wall, stool, floor], [
+        _at(-0.27, 0.0, 0.05), _at(-0.9, 0.0, 0.2), _at(-0.5, 0.42, -0.35 + 0.08), _at(0.0, 0.0, -0.63),
+    ]  # fmt: skip
+    view = _seen(meshes, poses, eye)
+    assert (view.mesh_index == 2).sum() > 2000 and (view.mesh_index == 1).sum() > 2000
+    (mask,) = _found(view)  # the stool reaches above the table's top beside it, the wall too, but they go on below
+    assert _overlap(mask, view.mesh_index == 0) > 0.85
+
+
+def test_a_thing_at_the_far_edge_that_hides_the_table_behind_is_found():
+    low = look_at(np.array([0.8, 0.0, 0.3]), np.array([0.0, 0.0, 0.05]))
+    view = _seen([box_mesh([0.03, 0.25, 0.06]), CAN], [_at(0.0, 0.0, 0.06), _at(-0.2, 0.0, 0.05)], low)
+    tall = _seen([box_mesh([0.03, 0.25, 0.02]), CAN], [_at(0.0, 0.0, 0.02), _at(-0.2, 0.0, 0.05)], low)
+    assert len(_found(view)) == 1  # quite hidden
+    assert max(_overlap(mask, tall.mesh_index == 1) for mask in _found(tall)) > 0.8
+
+
+def test_the_outline_is_looked_for_when_it_is_not_given():
+    view = _seen(*TOUCHING["cans"], FRONT)
+    frame = Frame(view.depth, FINE)
+    fit = find_table(frame)
+    given, looked_for = find_clusters(frame, fit.plane, extent=fit.extent), find_clusters(frame, fit.plane)
+    np.testing.assert_array_equal(given, looked_for)
 
 
 def test_a_camera_below_the_table_is_refused():

@@ -32,7 +32,7 @@ _FOOT_M = 0.05  # it begins below this height
 _LEAST_THING_SHARE = 0.001
 _LEVEL_COS = np.cos(np.deg2rad(20.0))  # a table is not more tilted in the world than this
 _PARALLEL_COS = np.cos(np.deg2rad(12.0))
-_JOIN_M = 0.10  # parts of one table, cut by what stands before them, are not further apart
+_JOIN_M = 0.25  # parts of one table, cut by what stands before them, are not further apart
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
+from scipy.sparse.csgraph import connected_components
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.plane import Plane
@@ -23,6 +25,9 @@ class CreaseConfig:
     Attributes:
         angle_deg: inward bend from one side of a pixel to the other that makes it a crease, degrees.
         reach_m: how far apart the two sides are looked at; surface normals are means over this distance, too.
+        passes: creases are made wider on every side by this share of half the reach; the first that gives parts counts.
+            The rims of two cans meet in a point without a crease and part in a later one.
+        least_bent: share of the border between two parts that is a crease; others belong together.
         least_share: of a cluster's pixels is in a part that counts.
         min_pixels: and at least so many.
         foot_m: a part that counts begins below this height over the table.
@@ -30,6 +35,8 @@ class CreaseConfig:
 
     angle_deg: float = 20.0
     reach_m: float = 0.012
+    passes: tuple[float, ...] = (0.0, 1.0)
+    least_bent: float = 0.7
     least_share: float = 0.12
     min_pixels: int = 200
     foot_m: float = 0.03
@@ -45,40 +52,47 @@ def split_touching(
         table: what they stand on, camera frame, normal up.
     """
     config = config or CreaseConfig()
-    out: list[np.ndarray] = []
-    height = frame.height(table)
+    low = np.nan_to_num(frame.height(table), nan=np.inf) < config.foot_m
+    parts = []
     for mask in masks:
-        rows, columns = np.nonzero(mask.any(axis=1))[0], np.nonzero(mask.any(axis=0))[0]
-        if not len(rows):
-            continue
-        box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-        parts = _parts(frame, mask[box], height[box], (rows[0], columns[0]), config)
-        for label in range(1, parts.max() + 1):
-            one = np.zeros(mask.shape, bool)
-            one[box] = parts == label
-            out.append(one)
-    return sorted(out, key=lambda m: -int(m.sum()))
+        least = max(config.min_pixels, int(config.least_share * mask.sum()))
+        parts += _cut(frame, mask, low, least, config) if mask.sum() >= 2 * least else [mask]
+    return sorted(parts, key=lambda m: -int(m.sum()))
+
+
+def _cut(frame: Frame, mask: np.ndarray, low: np.ndarray, least: int, config: CreaseConfig) -> list[np.ndarray]:
+    """The parts of one cluster, and theirs, of `least` pixels or more; itself if none. `low`: near the table."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    k, depth, inside = frame.intrinsics, np.ascontiguousarray(frame.depth[box]), np.ascontiguousarray(mask[box])
+    camera = np.array([k.fx, k.fy, k.cx - columns[0], k.cy - rows[0]])
+    reach = max(2, round(0.5 * config.reach_m * np.sqrt(k.fx * k.fy) / float(np.median(depth[inside]))))
+    normals = _normals(depth, inside, camera, reach)
+    creases = _creases(depth, inside, normals, camera, reach, 2.0 * np.sin(np.deg2rad(0.5 * config.angle_deg)))
+    for wide in config.passes if creases.any() else ():
+        labels = _parts(inside, creases, low[box], round(wide * reach), least, config.least_bent)
+        if labels.max() > 1:
+            parts = np.zeros((labels.max(), *mask.shape), bool)
+            parts[:, *box] = labels == np.arange(1, labels.max() + 1)[:, None, None]
+            return [one for part in parts for one in _cut(frame, part, low, least, config)]
+    return [mask]
 
 
 def _parts(
-    frame: Frame, mask: np.ndarray, height: np.ndarray, corner: tuple[int, int], config: CreaseConfig
+    mask: np.ndarray, creases: np.ndarray, low: np.ndarray, wide: int, least: int, least_bent: float
 ) -> np.ndarray:
-    """(r, c) int64 labels from 1 of a cluster's parts, cut out at `corner` of the image."""
-    k = frame.intrinsics
-    depth = frame.depth[corner[0] : corner[0] + mask.shape[0], corner[1] : corner[1] + mask.shape[1]]
-    camera = np.array([k.fx, k.fy, k.cx - corner[1], k.cy - corner[0]])
-    reach = max(2, round(0.5 * config.reach_m * np.sqrt(k.fx * k.fy) / float(np.median(depth[mask]))))
-    normals = _normals(depth, mask, camera, reach)
-    smooth = mask & ~_creases(depth, mask, normals, camera, reach, 2.0 * np.sin(np.deg2rad(0.5 * config.angle_deg)))
-    labels = _components(smooth)
+    """(r, c) int64 labels from 1 of a cluster's parts, its creases made wider by `wide` pixels on every side."""
+    labels = _components(mask & ~ndimage.maximum_filter(creases, 2 * wide + 1))
     sizes = np.bincount(labels.ravel())
-    stands = np.bincount(labels[height < config.foot_m], minlength=len(sizes)) >= 5
-    counts = stands & (sizes >= max(config.min_pixels, config.least_share * mask.sum()))
+    stands = np.bincount(labels[low], minlength=len(sizes)) >= 5
+    counts = stands & (sizes >= least)
     counts[0] = False
     if counts.sum() < 2:
         return mask.astype(np.int64)
-    renumbered = np.where(counts, np.cumsum(counts), 0)
-    return _grown(renumbered[labels], mask)
+    grown = _grown(np.where(counts, np.cumsum(counts), 0)[labels], mask)
+    border, bent = _borders(grown, creases, int(counts.sum()) + 1)
+    _, joined = connected_components(bent < least_bent * border, directed=False)
+    return np.where(grown > 0, joined[grown], 0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -185,7 +199,7 @@ def _components(mask):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _grown(labels, mask):  # type: ignore[no-untyped-def]
-    """Labels spread over the rest of the mask, ring by ring; what they do not reach gets the nearest in the image."""
+    """Labels spread over the rest of the mask, ring by ring, as far as it is connected to them."""
     out = labels.copy()
     queue = np.empty((labels.size, 2), np.int64)
     end = 0
@@ -205,3 +219,18 @@ def _grown(labels, mask):  # type: ignore[no-untyped-def]
                 queue[end, 0], queue[end, 1] = a, b
                 end += 1
     return out
+
+
+@njit(cache=True, error_model="numpy")
+def _borders(labels, creases, count):  # type: ignore[no-untyped-def]
+    """(count, count) int64 neighbouring pixels of two labels, and how many of these pairs lie at a crease."""
+    border, bent = np.zeros((count, count), np.int64), np.zeros((count, count), np.int64)
+    for i in range(1, labels.shape[0]):
+        for j in range(1, labels.shape[1]):
+            for r, c in ((i - 1, j), (i, j - 1)):
+                a, b = labels[i, j], labels[r, c]
+                if a and b and a != b:
+                    low, high = min(a, b), max(a, b)
+                    border[low, high] += 1
+                    bent[low, high] += creases[i, j] or creases[r, c]
+    return border, bent
