@@ -13,6 +13,7 @@ from neuralgrasps.geometry.primitives import box_mesh, cylinder_mesh
 from neuralgrasps.perception.clusters import ClusterConfig, find_clusters
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.table import find_table
+from neuralgrasps.perception.touching import _parts
 from neuralgrasps.sim.camera import DepthNoise, render_depth_view
 
 CAMERA = Intrinsics.from_fov(np.deg2rad(45.0), 200, 150)
@@ -157,6 +158,15 @@ def test_one_thing_is_not_cut(noise):
         assert mask.sum() > 500
 
 
+@pytest.mark.parametrize(("rows", "parts"), [(17, 2), (12, 1)])
+def test_parts_whose_border_is_not_mostly_a_crease_belong_together(rows, parts):
+    mask, creases = np.ones((20, 40), bool), np.zeros((20, 40), bool)
+    creases[:rows, 20] = True
+    labels = _parts(mask, creases, np.ones_like(mask), 8, 100, 0.7)
+    assert labels.max() == parts and (labels > 0).all()
+    assert _parts(mask, creases, np.ones_like(mask), 8, 100, 0.0).max() == 2
+
+
 def test_boxes_with_their_faces_in_line_stay_one_cluster():
     assert len(_found(_seen([BRICK, BRICK], [_at(0, -0.05, 0.04), _at(0, 0.05, 0.04)], FRONT))) == 1
 
@@ -189,7 +199,15 @@ def test_only_what_stands_on_the_table_is_found():
     assert _overlap(mask, view.mesh_index == 0) > 0.85
 
 
-def test_a_thing_at_the_far_edge_that_hides_the_table_behind_is_found():
+def test_a_thing_in_a_corner_that_was_not_seen_is_found_whole():
+    low = look_at(np.array([0.8, 0.0, 0.3]), np.array([0.0, 0.0, 0.05]))
+    view = _seen([box_mesh([0.02, 0.07, 0.03]), CAN], [_at(-0.18, -0.23, 0.03), _at(-0.26, -0.2, 0.05)], low)
+    whole = view.mesh_index == 1
+    assert max(_overlap(mask, whole) for mask in _found(view)) > 0.9
+    assert max(_overlap(mask, whole) for mask in _found(view, margin_m=0.0)) < 0.8
+
+
+def test_a_thing_behind_another_that_hides_the_table_between_is_found():
     low = look_at(np.array([0.8, 0.0, 0.3]), np.array([0.0, 0.0, 0.05]))
     view = _seen([box_mesh([0.03, 0.25, 0.06]), CAN], [_at(0.0, 0.0, 0.06), _at(-0.2, 0.0, 0.05)], low)
     tall = _seen([box_mesh([0.03, 0.25, 0.02]), CAN], [_at(0.0, 0.0, 0.02), _at(-0.2, 0.0, 0.05)], low)

@@ -28,7 +28,8 @@ class ClusterConfig:
             and more by what a surface slanted by `slant_deg` changes from one pixel to the next.
         slant_deg: see there, degrees.
         min_pixels: smaller clusters are dropped.
-        margin_m: clusters reach at most this far beyond the table's outline: what stands at its edge hides the edge.
+        margin_m: clusters begin within the table's outline and reach at most this far beyond it: what stands at the
+            edge hides the edge.
         least_share: of a connected surface lies above the table, below `max_height_m` and within the margin; a wall and
             the back of a chair go on elsewhere.
         fragment_m2: clusters seen with less area are given to the neighbour they lost touch with, where the image shows

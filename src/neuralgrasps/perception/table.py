@@ -32,6 +32,7 @@ _FOOT_M = 0.05  # it begins below this height
 _LEAST_THING_SHARE = 0.001
 _LEVEL_COS = np.cos(np.deg2rad(20.0))  # a table is not more tilted in the world than this
 _PARALLEL_COS = np.cos(np.deg2rad(12.0))
+_STOREY_M = 0.25  # a table is at least so much above a floor that carries more, a box on a table is not
 _JOIN_M = 0.25  # parts of one table, cut by what stands before them, are not further apart
 
 
@@ -97,8 +98,8 @@ def find_table(frame: Frame, *, max_depth_m: float | None = None, seed: int = 0)
     """The plane that things stand on.
 
     The large planes of the image are found one after the other. The table is the one with the most pixels on it and on
-    clusters of sensible height that stand within its outline; where such planes are parallel, as a table over a floor,
-    the nearest that carries something. With a camera pose only planes that are level in the world (z up) count.
+    clusters of sensible height that stand within its outline; where such planes lie over each other, as a table over a
+    floor, the highest that carries something. With a camera pose only planes that are level in the world (z up) count.
 
     Args:
         max_depth_m: pixels farther away are left out; None keeps all.
@@ -166,9 +167,8 @@ def _chosen(frame: Frame, found: list[_Candidate], max_depth_m: float | None) ->
         c
         for c in large
         if c.plane.normal @ best.plane.normal > _PARALLEL_COS
-        and c.plane.offset_m < best.plane.offset_m
+        and c.plane.offset_m < best.plane.offset_m - _STOREY_M
         and c.things >= _LEAST_THING_SHARE
-        and c.score > 0.1 * best.score
     ]
     return min(nearer, key=lambda c: c.plane.offset_m, default=best)
 
