@@ -90,7 +90,7 @@ class _Candidate:
 
     @property
     def score(self) -> float:
-        """Geometric mean of the shares of the image: of the plane and of what stands on it, which counts most."""
+        """Geometric mean of two shares of the image: of the plane, and of what stands on it (at most as much)."""
         return float(np.sqrt(self.share * (min(self.things, self.share) + _LEAST_THING_SHARE / 2)))
 
 
