@@ -108,9 +108,10 @@ def _joined(frame: Frame, masks: list[np.ndarray], config: ClusterConfig) -> lis
     labels = np.zeros(frame.depth.shape, np.int64)
     for i, mask in enumerate(masks, start=1):
         labels[mask] = i
+    area_m2 = [(frame.depth[mask] ** 2).sum() / (k.fx * k.fy) for mask in masks]
     for i in range(len(masks), 0, -1):
-        row, column = np.nonzero(labels == i)
-        if (frame.depth[row, column] ** 2).sum() / (k.fx * k.fy) < config.fragment_m2:
+        if area_m2[i - 1] < config.fragment_m2:
+            row, column = np.nonzero(labels == i)
             votes = _neighbours(frame.depth, labels, row, column, len(masks) + 1, _APART_PX, config.jump_m)
             labels[row, column] = votes.argmax()  # 0 without any vote
     sizes = np.bincount(labels.ravel(), minlength=len(masks) + 1)[1:]

@@ -22,7 +22,7 @@ BAND_M, LEAST_BAND_M = 0.008, 0.003
 """Half width of the band around a plane, along the ray: at 1 m, growing with the square of the depth; and at least."""
 
 _CELLS = 160  # blocks across the image
-_HYPOTHESES, _SCORED = 128, 2000
+_HYPOTHESES, _SCORED = 96, 1500
 _LEAST_OF_FIRST = 0.05
 _FITTED = 30_000
 _SMOOTH = 0.006  # 1/m, rms of a local fit
