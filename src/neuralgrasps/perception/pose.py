@@ -19,10 +19,12 @@ from neuralgrasps.perception.contact import ContactPoints
 from neuralgrasps.perception.observation import Observation, observe_depth, observe_points
 from neuralgrasps.perception.pose_confidence import confidence_of, pose_covariance, shares_of
 from neuralgrasps.perception.pose_model import PoseModel, pose_model
-from neuralgrasps.perception.pose_search import Candidates, PoseConfig, refine, search
+from neuralgrasps.perception.pose_search import Candidates, PoseConfig, distinct, refine, same_pose, search
 from neuralgrasps.perception.pose_visibility import COST, EXPLAINED
 
 __all__ = ["PoseConfig", "PoseResult", "estimate_pose"]
+
+_LEAST_SHARE = 0.01  # alternatives less likely than this are not listed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,9 +118,7 @@ def observe(
         return observe_points(points_C, reach_m=reach_m, table=table, seed=seed)
     if points_C is None and mask is None:
         raise InputError("which part of the depth image is the object? Give `mask` or `points_C`, or use find_objects.")
-    return observe_depth(
-        depth, intrinsics, mask, points_C=points_C, reach_m=reach_m, table=table, seed=seed
-    )
+    return observe_depth(depth, intrinsics, mask, points_C=points_C, reach_m=reach_m, table=table, seed=seed)
 
 
 def with_contact(
@@ -132,15 +132,13 @@ def with_contact(
     return refine(model, scene, contacts, found, config)
 
 
-def result_of(
-    model: PoseModel, scene: Observation, found: Candidates, config: PoseConfig, seed: int
-) -> PoseResult:
+def result_of(model: PoseModel, scene: Observation, found: Candidates, config: PoseConfig, seed: int) -> PoseResult:
     """The result that candidates amount to."""
-    shares = shares_of(found)
-    kept = shares >= max(1e-3, 0.0)
-    kept[0] = True
+    kept, shares = merged_shares(model, found)
     covariance, residual = pose_covariance(model, scene, found.X_CO[0], config)
-    confidence = confidence_of(found, shares, covariance, model)
+    confidence = confidence_of(found, float(shares[0]), covariance, model)
+    likely = shares >= _LEAST_SHARE
+    likely[0] = True
     return PoseResult(
         X_CO=found.X_CO[0].copy(),
         confidence=confidence,
@@ -149,7 +147,15 @@ def result_of(
         explained=float(found.evidence[0, EXPLAINED]),
         covariance=covariance,
         converged=confidence >= 0.5,
-        alternatives_X_CO=found.X_CO[kept].copy(),
-        alternatives_probability=shares[kept] / shares[kept].sum(),
+        alternatives_X_CO=found.X_CO[kept[likely]].copy(),
+        alternatives_probability=shares[likely] / shares[likely].sum(),
         seed=seed,
     )
+
+
+def merged_shares(model: PoseModel, found: Candidates) -> tuple[np.ndarray, np.ndarray]:
+    """Candidates that differ by more than the object's symmetry: their indices, best first, and their shares."""
+    shares = shares_of(found)
+    kept = distinct(model, found.X_CO, found.cost, len(shares), model.same)
+    alike = same_pose(model, found.X_CO, found.X_CO[kept])
+    return kept, np.bincount(alike, weights=shares, minlength=len(kept))

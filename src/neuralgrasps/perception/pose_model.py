@@ -40,7 +40,7 @@ class PoseModel(NamedTuple):
         rotations: (R, 3, 3) grid of rotations, one of every set that the symmetry makes equal.
         views: (V, 3) unit directions of sight; visible: (V, 3) centroid of what is seen along each.
         turns: (S, 4, 4) motions of the object nearly onto itself, the identity first, more than its symmetry group has:
-            a view may take one for the other. axis: (3,) about which it can turn by any angle, else 0; `turns` then
+            a view may take one for the other; same: of them, its symmetry group. axis: (3,) about which it can turn by any angle, else 0; `turns` then
             only turn the axis around.
     """
 
@@ -62,6 +62,7 @@ class PoseModel(NamedTuple):
     views: np.ndarray
     visible: np.ndarray
     turns: np.ndarray
+    same: np.ndarray
     axis: np.ndarray
 
 
@@ -115,6 +116,7 @@ def _prepare(obj: ObjectModel) -> PoseModel:
         views=views,
         visible=_visible_centroids(*grid, points[:384], normals[:384], views),
         turns=turns,
+        same=_turns(obj.symmetry)[0],
         axis=axis,
     )
 

@@ -14,6 +14,10 @@ from neuralgrasps.perception.pose_starts import start_poses
 from neuralgrasps.perception.pose_visibility import COST, EVIDENCE, ray_evidence
 
 
+_SAME_COSINE, _SAME_M = float(np.cos(np.deg2rad(8.0))), 0.010  # poses nearer than this are one
+_TABLE_DOUBT = 0.1  # a pose off the table must explain so much more of the view
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseConfig:
     """Knobs of `estimate_pose`.
@@ -35,12 +39,12 @@ class PoseConfig:
     yaw_steps: int = 36
     coarse_points: int = 48
     coarse_model_points: int = 64
-    slid: int = 400
+    slid: int = 300
     coarse_kept: int = 48
     middle_kept: int = 16
     finalists: int = 4
     wide: int = 4
-    wide_cost: float = 0.35
+    wide_cost: float = 0.30
     kernels_m: tuple[float, float, float] = (0.010, 0.006, 0.004)
     points: tuple[int, int, int] = (120, 250, 1000)
     model_points: tuple[int, int, int] = (64, 128, 384)
@@ -51,7 +55,7 @@ class PoseConfig:
     table_weight: float = 0.1
     rest_weight: float = 0.05
     margin_m: float = 0.006
-    ray_cells: tuple[int, int, int] = (120, 250, 800)
+    ray_cells: tuple[int, int, int] = (120, 200, 500)
     fine_weight: float = 0.4
     contact_weight: float = 0.1
 
@@ -81,10 +85,19 @@ def search(model: PoseModel, scene: Observation, contacts: np.ndarray, config: P
     starts = start_poses(model, scene, yaw_steps=config.yaw_steps)
     order = np.argsort(_coarse(model, scene, starts, config), kind="stable")
     found = _descend(model, scene, contacts, starts[order[: config.slid]], config, 1)
-    if found.cost[0] > config.wide_cost and config.wide > 1:
-        wide = _descend(model, scene, contacts, starts[order[: config.wide * config.slid]], config, config.wide)
-        found = wide if wide.cost[0] < found.cost[0] else found
+    if found.cost[0] <= config.wide_cost or config.wide <= 1:
+        return found
+    found = _cheaper(
+        found, _descend(model, scene, contacts, starts[order[: config.wide * config.slid]], config, config.wide)
+    )
+    if found.cost[0] > config.wide_cost and scene.table.any():  # it may not rest on this table
+        free = search(model, scene._replace(table=np.zeros(4)), contacts, config)
+        return free if free.evidence[0, COST] < found.evidence[0, COST] - _TABLE_DOUBT else found
     return found
+
+
+def _cheaper(one: Candidates, other: Candidates) -> Candidates:
+    return other if other.cost[0] < one.cost[0] else one
 
 
 def _descend(
@@ -123,7 +136,7 @@ def polished(
     cost /= min(config.points[stage], len(scene.points)) * config.kernels_m[stage] ** 2
     evidence = evidence_of(model, scene, X, config, stage)
     cost = evidence[:, COST] + config.fine_weight * cost
-    order = distinct(model, X, cost, len(X), up_to_turns=False)
+    order = distinct(model, X, cost, len(X), model.turns[:1])
     return Candidates(X[order], cost[order], evidence[order])
 
 
@@ -149,19 +162,24 @@ def _coarse(model: PoseModel, scene: Observation, X: np.ndarray, config: PoseCon
 def _best(model: PoseModel, X: np.ndarray, cost: np.ndarray, count: int) -> np.ndarray:
     """The best `count` poses that differ; a first cut by cost alone keeps the comparison short."""
     first = np.argsort(cost, kind="stable")[: 4 * count]
-    return X[first][distinct(model, X[first], cost[first], count, up_to_turns=True)]
+    return X[first][distinct(model, X[first], cost[first], count, model.turns)]
 
 
-def distinct(model: PoseModel, X: np.ndarray, cost: np.ndarray, count: int, *, up_to_turns: bool) -> np.ndarray:
+def distinct(model: PoseModel, X: np.ndarray, cost: np.ndarray, count: int, turns: np.ndarray) -> np.ndarray:
     """Indices of at most `count` best poses that differ from every better one by 8 degrees or 10 mm.
 
-    up_to_turns: poses that the object's near symmetry makes equal count as one.
+    turns: (S, 4, 4) motions of the object that count as none.
     """
     order = np.argsort(cost, kind="stable")
     kept = np.zeros(count, np.int64)
-    turns = model.turns if up_to_turns else model.turns[:1]
-    found = _suppress(X[order], turns, model.axis, model.centre, np.cos(np.deg2rad(8.0)), 0.010, kept)
+    found = _suppress(X[order], turns, model.axis, model.centre, _SAME_COSINE, _SAME_M, kept)
     return order[kept[:found]]
+
+
+def same_pose(model: PoseModel, X: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(N,) for each pose X (N, 4, 4) the first of the chosen (K, 4, 4) that it equals up to the object's symmetry."""
+    near = (model.same, model.axis, model.centre, _SAME_COSINE, _SAME_M)
+    return np.array([next((k for k, c in enumerate(chosen) if _alike(one, c, *near)), 0) for one in X])
 
 
 @njit(cache=True, error_model="numpy")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from neuralgrasps.compiled import njit
+from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.sdf_grid import grid_distance
 from neuralgrasps.perception.pose_kernels import UNMEASURED
 
@@ -27,49 +28,64 @@ def ray_evidence(model, scene, X_CO, stride, tolerance, clip, margin, out):  # t
     measurement in the mask, per predicted pixel that is not hidden; of all pixels that the model covers, the share
     that is in the mask; number of mask pixels looked at.
     """
-    height, width = scene.depth.shape
-    inverse = np.empty((3, 4))
-    low, high = model.bounds[0], model.bounds[1]
+    inverse, box = np.empty((3, 4)), np.empty(4)
     for n in range(X_CO.shape[0]):
         _invert(X_CO[n], inverse)
+        _seen_box(model, scene.camera, X_CO[n], box)
         cost, explained, free, confirmed, visible, covered, in_mask = 0.0, 0, 0.0, 0, 0, 0, 0
-        for i in range(0, height, stride):
-            for j in range(0, width, stride):
-                z = scene.depth[i, j]
+        for i in range(0, scene.depth.shape[0], stride):
+            ry = (i - scene.camera[3]) / scene.camera[1]
+            for j in range(0, scene.depth.shape[1], stride):
                 inside = scene.outside[i, j] == 0.0
-                if inside and z <= 0.0:
+                met = box[0] <= j <= box[1] and box[2] <= i <= box[3]
+                z = scene.depth[i, j]
+                if (inside and z <= 0.0) or not (inside or met):
                     continue
                 rx = (j - scene.camera[2]) / scene.camera[0]
-                ry = (i - scene.camera[3]) / scene.camera[1]
-                limit = z + 0.03 if inside else (z - margin * (0.5 + z * z) if z > 0.0 else 1.0e3)
-                # in the mask a surface twice `clip` before the measured one is as wrong as any
-                start = z - 2.5 * clip if inside else 1.0e-3
-                hit, hidden = _cast(model, inverse, low, high, rx, ry, start, limit)
-                if hit > 0.0 or hidden:
-                    covered += 1
                 if inside:
                     in_mask += 1
                     d = abs(_measured(model, inverse, rx, ry, z))
-                    if hit > 0.0:
-                        visible += 1
-                        d = max(d, min(0.5 * abs(hit - z), clip))
-                    e = d * d / (d * d + tolerance * tolerance)
-                    cost += 0.5 * e + 0.5 * min(d / clip, 1.0)
-                    if d < tolerance:
-                        explained += 1
-                        confirmed += 1
-                elif hit > 0.0:
-                    visible += 1
-                    off = (scene.outside[i, j] - 1.0) * hit / scene.camera[0]
+                    if met and d < clip:
+                        # a surface far before the measured one is as wrong as any: the ray may start behind it
+                        hit, _ = _cast(model, inverse, rx, ry, z - 2.5 * clip, z + 0.03)
+                        if hit > 0.0:
+                            covered, visible = covered + 1, visible + 1
+                            d = max(d, min(0.5 * abs(hit - z), clip))
+                            confirmed += d < tolerance
+                    cost += 0.5 * d * d / (d * d + tolerance * tolerance) + 0.5 * min(d / clip, 1.0)
+                    explained += d < tolerance
+                    continue
+                limit = z - margin * (0.5 + z * z) if z > 0.0 else 1.0e3
+                hit, hidden = _cast(model, inverse, rx, ry, 1.0e-3, limit)
+                if hidden:
+                    covered += 1
+                if hit > 0.0:
+                    covered, visible = covered + 1, visible + 1
+                    off = max((scene.outside[i, j] - 1.0) * hit / scene.camera[0], 0.0)
                     share = 1.0 if z > 0.0 else UNMEASURED
-                    if off > 0.0:
-                        cost += share * (off * off / (off * off + tolerance * tolerance))
-                        free += share * min(off / tolerance, 1.0)
+                    cost += share * (off * off / (off * off + tolerance * tolerance))
+                    free += share * min(off / tolerance, 1.0)
         total = max(in_mask, 1)
         out[n, COST], out[n, EXPLAINED], out[n, FREE] = cost / total, explained / total, free / total
         out[n, CONFIRMED] = confirmed / max(visible, 1)
         out[n, COVERED] = in_mask / max(covered, 1)
         out[n, IN_MASK] = in_mask
+
+
+@njit(cache=True, error_model="numpy")
+def _seen_box(model, camera, X, out):  # type: ignore[no-untyped-def]
+    """out (4,): first and last column and row of the pixels that the posed object's bounds project to."""
+    out[0], out[1], out[2], out[3] = 1.0e9, -1.0e9, 1.0e9, -1.0e9
+    for corner in range(8):
+        x, y, z = moved_point(
+            X, model.bounds[corner & 1, 0], model.bounds[(corner >> 1) & 1, 1], model.bounds[corner >> 2, 2]
+        )
+        if z < 1.0e-3:  # partly behind the camera: anywhere
+            out[0], out[1], out[2], out[3] = -1.0e9, 1.0e9, -1.0e9, 1.0e9
+            return
+        u, v = camera[0] * x / z + camera[2], camera[1] * y / z + camera[3]
+        out[0], out[1] = min(out[0], u), max(out[1], u)
+        out[2], out[3] = min(out[2], v), max(out[3], v)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -92,7 +108,7 @@ def _measured(model, inverse, rx, ry, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _cast(model, inverse, low, high, rx, ry, start, limit):  # type: ignore[no-untyped-def]
+def _cast(model, inverse, rx, ry, start, limit):  # type: ignore[no-untyped-def]
     """(depth of the first surface from depth `start` to `limit`, 0 for none; whether the limit stopped the ray).
 
     The ray is (rx, ry, 1) times the depth; the second answer is true when it could meet the object behind the limit.
@@ -106,10 +122,10 @@ def _cast(model, inverse, low, high, rx, ry, start, limit):  # type: ignore[no-u
     for k in range(3):
         o = inverse[k, 3]
         if abs(d[k]) < 1.0e-12:
-            if o < low[k] or o > high[k]:
+            if o < model.bounds[0, k] or o > model.bounds[1, k]:
                 return 0.0, False
             continue
-        a, b = (low[k] - o) / d[k], (high[k] - o) / d[k]
+        a, b = (model.bounds[0, k] - o) / d[k], (model.bounds[1, k] - o) / d[k]
         entry, leave = max(entry, min(a, b)), min(leave, max(a, b))
     if entry >= leave:
         return 0.0, False
