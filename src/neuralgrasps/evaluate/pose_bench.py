@@ -147,6 +147,8 @@ def _counts(library: Library, config: PoseBenchConfig, bench: PoseBench) -> dict
 
 def _why_no_run(library: Library) -> str:
     """Why no grasps are known for the objects; empty when some are."""
+    if library.run is None:
+        return "no shipped run has grasps of these objects."
     try:
         run = open_library_run(library)
     except NeuralGraspsError as error:

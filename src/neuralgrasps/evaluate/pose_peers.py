@@ -1,7 +1,7 @@
 """Pose estimators of other libraries, to measure beside ours: Open3D, small_gicp, and OpenCV's point pair features.
 
-They come with the extra `peers`. Each is given the observed points of the object and its mesh, as its users would do
-it, with settings tuned on scenes that are not those of the benchmark. What depends on the object alone (clouds,
+They come with the extra `peers`. Each is given the object's mesh and its observed points, without strays, and settings
+tuned on scenes that are not those of the benchmark. What depends on the object alone (clouds,
 features) is made once and kept; `prepare_peer` makes it, so that no estimate pays for it. Each uses one thread when its
 process was started with OMP_NUM_THREADS=1, as worker processes are.
 """
@@ -47,7 +47,7 @@ class _Shape:
 
 
 def open3d_pose(obj: ObjectModel, points_C: np.ndarray, *, seed: int = 0) -> np.ndarray:
-    """FPFH features, RANSAC over their matches, and point-to-plane ICP; the best of four runs by share of inliers.
+    """FPFH features, RANSAC over their matches, and point-to-plane ICP; the best of eight runs by share of inliers.
 
     Args:
         obj: the object. points_C: (M, 3) observed points on it, camera frame, metres; M >= 20. seed: of RANSAC.
@@ -60,41 +60,16 @@ def open3d_pose(obj: ObjectModel, points_C: np.ndarray, *, seed: int = 0) -> np.
     """
     o3d = _package("open3d", "Open3D")
     model = _open3d_model(_Shape(obj.content_hash, obj))
-    steps = o3d.pipelines.registration
-    seen = _open3d_cloud(o3d, check_points(points_C))
-    coarse = seen.voxel_down_sample(model.voxel_m)
-    coarse.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=_NORMAL_VOXELS * model.voxel_m, max_nn=30))
-    coarse.orient_normals_towards_camera_location(np.zeros(3))
-    features = _open3d_features(o3d, coarse, model.voxel_m)
-    fine = seen.voxel_down_sample(FINE_M)
-    reach = 1.5 * model.voxel_m
-    checks = [
-        steps.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-        steps.CorrespondenceCheckerBasedOnDistance(reach),
-    ]
-    best: Any = None
-    for run in range(_RANSAC_RUNS):
-        o3d.utility.random.seed(child_seed(seed, "ransac", run) % 2**31)
-        found = steps.registration_ransac_based_on_feature_matching(
-            coarse, model.coarse, features, model.features, False, reach,
-            steps.TransformationEstimationPointToPoint(False), 3, checks,
-            steps.RANSACConvergenceCriteria(_RANSAC_TRIALS, 0.999),
-        )  # fmt: skip
-        for distance in _ICP_M:
-            found = steps.registration_icp(
-                fine, model.fine, distance, found.transformation, steps.TransformationEstimationPointToPlane(),
-                steps.ICPConvergenceCriteria(max_iteration=30),
-            )  # fmt: skip
-        if best is None or (found.fitness, -found.inlier_rmse) > (best.fitness, -best.inlier_rmse):
-            best = found
-    return _inverse(np.asarray(best.transformation), "Open3D")
+    points_C = _observed(points_C)
+    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+        return _inverse(_open3d_best(o3d, model, _open3d_cloud(o3d, points_C), seed), "Open3D")
 
 
 def small_gicp_pose(obj: ObjectModel, points_C: np.ndarray, *, seed: int = 0) -> np.ndarray:
     """Generalised ICP from 64 evenly spread rotations, best by inliers, then by their distance.
 
     Every start puts the middle of what is visible of the object at that rotation on the middle of the observed points,
-    the same as our own search does. All 64 are aligned on points every 10 mm, the best 8 on points every 3 mm.
+    the same as our own search does. All 64 are aligned on points every 6 mm, the best 8 on points every 3 mm.
 
     Args, returns and raises: as `open3d_pose`; nothing is random, `seed` is not used.
     Source:
@@ -102,8 +77,8 @@ def small_gicp_pose(obj: ObjectModel, points_C: np.ndarray, *, seed: int = 0) ->
     """
     del seed
     gicp = _package("small_gicp", "small_gicp")
-    points_C = check_points(points_C)
-    return _aligned(gicp, obj, points_C, _starts(obj, points_C))
+    points_C = _observed(points_C)
+    return _aligned(gicp, obj, points_C, _starts(obj, points_C), _COARSE_M)
 
 
 def ppf_pose(obj: ObjectModel, points_C: np.ndarray, *, seed: int = 0) -> np.ndarray:
@@ -119,13 +94,13 @@ def ppf_pose(obj: ObjectModel, points_C: np.ndarray, *, seed: int = 0) -> np.nda
     del seed
     gicp = _package("small_gicp", "small_gicp")
     detector = _ppf_model(_Shape(obj.content_hash, obj))
-    points_C = check_points(points_C)
+    points_C = _observed(points_C)
     scene = _with_normals(points_C)
     found = detector.match(scene, *_PPF_SCENE)[:_PPF_POSES]
     X_CO = np.array([np.asarray(pose.pose, np.float64).reshape(4, 4) for pose in found])
     if not len(X_CO):
         raise NoPoseError("OpenCV found no pose in this view.")
-    return _aligned(gicp, obj, points_C, np.linalg.inv(X_CO))
+    return _aligned(gicp, obj, points_C, np.linalg.inv(X_CO), _PPF_COARSE_M)
 
 
 PEERS: MappingProxyType[str, Callable[..., np.ndarray]] = MappingProxyType(
@@ -166,6 +141,14 @@ def _package(module: str, name: str) -> Any:
         ) from error
 
 
+def _observed(points_C: np.ndarray) -> np.ndarray:
+    """Without strays, flying pixels at depth edges most of all: points far from their eight nearest ones."""
+    points_C = check_points(points_C)
+    distance, _ = cKDTree(points_C).query(points_C, k=9)
+    apart = distance[:, 1:].mean(axis=1)
+    return points_C[apart <= np.median(apart) + 3.0 * apart.std()]
+
+
 def _inverse(X_OC: np.ndarray, name: str) -> np.ndarray:
     X_OC = np.asarray(X_OC, np.float64)
     if not np.isfinite(X_OC).all() or abs(np.linalg.det(X_OC[:3, :3]) - 1.0) > 1e-3:
@@ -175,9 +158,9 @@ def _inverse(X_OC: np.ndarray, name: str) -> np.ndarray:
 
 # Open3D
 
-_RANSAC_RUNS, _RANSAC_TRIALS = 4, 50_000
+_RANSAC_RUNS, _RANSAC_TRIALS = 8, 50_000
+VOXEL_M = 0.005  # of the clouds whose features are matched
 _ICP_M = (0.010, 0.004)
-_NORMAL_VOXELS, _FEATURE_VOXELS = 2.5, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,16 +168,14 @@ class _Open3dModel:
     coarse: Any
     features: Any
     fine: Any
-    voxel_m: float
 
 
 @lru_cache(maxsize=_KEPT)
 def _open3d_model(shape: _Shape) -> _Open3dModel:
     o3d = _package("open3d", "Open3D")
-    voxel_m = 0.005
-    coarse = _open3d_cloud(o3d, *even_surface_points(shape.obj.mesh, voxel_m, 0)[:2])
+    coarse = _open3d_cloud(o3d, *even_surface_points(shape.obj.mesh, VOXEL_M, 0)[:2])
     fine = _open3d_cloud(o3d, *even_surface_points(shape.obj.mesh, 0.7 * FINE_M, 0)[:2])
-    return _Open3dModel(coarse, _open3d_features(o3d, coarse, voxel_m), fine, voxel_m)
+    return _Open3dModel(coarse, _open3d_features(o3d, coarse), fine)
 
 
 def _open3d_cloud(o3d: Any, points: np.ndarray, normals: np.ndarray | None = None) -> Any:
@@ -204,16 +185,43 @@ def _open3d_cloud(o3d: Any, points: np.ndarray, normals: np.ndarray | None = Non
     return cloud
 
 
-def _open3d_features(o3d: Any, cloud: Any, voxel_m: float) -> Any:
-    around = o3d.geometry.KDTreeSearchParamHybrid(radius=_FEATURE_VOXELS * voxel_m, max_nn=100)
+def _open3d_features(o3d: Any, cloud: Any) -> Any:
+    around = o3d.geometry.KDTreeSearchParamHybrid(radius=5.0 * VOXEL_M, max_nn=100)
     return o3d.pipelines.registration.compute_fpfh_feature(cloud, around)
+
+
+def _open3d_best(o3d: Any, model: _Open3dModel, seen: Any, seed: int) -> np.ndarray:
+    """X_OC (4, 4) of the best run."""
+    steps = o3d.pipelines.registration
+    coarse = seen.voxel_down_sample(VOXEL_M)
+    coarse.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=2.5 * VOXEL_M, max_nn=30))
+    coarse.orient_normals_towards_camera_location(np.zeros(3))
+    features = _open3d_features(o3d, coarse)
+    fine, reach = seen.voxel_down_sample(FINE_M), 1.5 * VOXEL_M
+    checks = [steps.CorrespondenceCheckerBasedOnEdgeLength(0.9), steps.CorrespondenceCheckerBasedOnDistance(reach)]
+    best: Any = None
+    for run in range(_RANSAC_RUNS):
+        o3d.utility.random.seed(child_seed(seed, "ransac", run) % 2**31)
+        found = steps.registration_ransac_based_on_feature_matching(
+            coarse, model.coarse, features, model.features, False, reach,
+            steps.TransformationEstimationPointToPoint(False), 3, checks,
+            steps.RANSACConvergenceCriteria(_RANSAC_TRIALS, 0.999),
+        )  # fmt: skip
+        for distance in _ICP_M:
+            found = steps.registration_icp(
+                fine, model.fine, distance, found.transformation, steps.TransformationEstimationPointToPlane(),
+                steps.ICPConvergenceCriteria(max_iteration=30),
+            )  # fmt: skip
+        if best is None or (found.fitness, -found.inlier_rmse) > (best.fitness, -best.inlier_rmse):
+            best = found
+    return np.asarray(best.transformation)
 
 
 # small_gicp
 
 _STARTS, _POLISHED = 64, 8
-_COARSE_M = 0.010
-_REACH_M = (0.030, 0.010)  # of correspondences, coarse and fine
+_COARSE_M = 0.006  # spacing of the points that all starts are aligned on
+_REACH_M = (0.060, 0.010)  # of correspondences, coarse and fine
 _STEPS = (20, 30)
 _INLIER_M = 0.003
 
@@ -238,10 +246,10 @@ def _starts(obj: ObjectModel, points_C: np.ndarray) -> np.ndarray:
     return X_OC
 
 
-def _aligned(gicp: Any, obj: ObjectModel, points_C: np.ndarray, X_OC: np.ndarray) -> np.ndarray:
+def _aligned(gicp: Any, obj: ObjectModel, points_C: np.ndarray, X_OC: np.ndarray, coarse_m: float) -> np.ndarray:
     """The best of many starts X_OC (N, 4, 4) after generalised ICP, as X_CO."""
     target, tree = _gicp_model(_Shape(obj.content_hash, obj))
-    coarse, fine = (_gicp_cloud(gicp, points_C, spacing) for spacing in (_COARSE_M, FINE_M))
+    coarse, fine = (_gicp_cloud(gicp, points_C, spacing) for spacing in (coarse_m, FINE_M))
     ends = [_gicp_align(gicp, target, tree, coarse, X, 0) for X in X_OC]
     cost = [float(np.minimum(d, 4.0 * _INLIER_M**2).mean()) for d in _squared(tree, coarse, ends)]
     ends = [_gicp_align(gicp, target, tree, fine, ends[i], 1) for i in np.argsort(cost, kind="stable")[:_POLISHED]]
@@ -278,8 +286,8 @@ def _squared(tree: Any, cloud: Any, X_OC: list[np.ndarray]) -> list[np.ndarray]:
 # point pair features
 
 _PPF_MODEL = (0.1, 0.05, 30.0)  # sampling and distance step in diameters, angles
-_PPF_SCENE = (0.2, 0.05)  # share of the points that vote, spacing in diameters
-_PPF_POSES = 20
+_PPF_SCENE = (0.2, 0.03)  # share of the points that vote, spacing in diameters
+_PPF_POSES, _PPF_COARSE_M = 20, 0.010
 
 
 def _ppf_package() -> Any:
