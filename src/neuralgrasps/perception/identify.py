@@ -11,9 +11,9 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.perception.pose import NO_CONTACTS, PoseConfig, PoseResult, observe, result_of
+from neuralgrasps.perception.pose import PoseConfig, PoseResult, observe, result_of
 from neuralgrasps.perception.pose_model import pose_model
-from neuralgrasps.perception.pose_search import search
+from neuralgrasps.perception.pose_search import NO_CONTACTS, search
 
 SHARPNESS = 40.0  # of the probabilities: a cost lower by 1 / SHARPNESS makes an object e times as likely
 NONE_COST = 0.40  # "none of these" is as likely as an object that explains the view at this cost

@@ -16,10 +16,11 @@ from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.contact import ContactPoints
+from neuralgrasps.perception.contact_search import with_contact
 from neuralgrasps.perception.observation import Observation, observe_depth, observe_points
 from neuralgrasps.perception.pose_confidence import confidence_of, pose_covariance, shares_of
 from neuralgrasps.perception.pose_model import PoseModel, pose_model
-from neuralgrasps.perception.pose_search import Candidates, PoseConfig, distinct, refine, same_pose, search
+from neuralgrasps.perception.pose_search import NO_CONTACTS, Candidates, PoseConfig, distinct, same_pose, search
 from neuralgrasps.perception.pose_visibility import COST, EXPLAINED
 
 __all__ = ["PoseConfig", "PoseResult", "estimate_pose"]
@@ -77,7 +78,7 @@ def estimate_pose(
         depth: (h, w) z-depth image, metres, of the whole scene; 0, inf or nan = nothing measured.
         intrinsics: camera of `depth`; both or neither. mask: (h, w) bool, the pixels of `depth` that show the object.
         table: plane that the object probably rests on, camera frame, normal up; a prior, not a condition.
-        contact: points of a hand that touches the object; used only where it does not make the view less explained.
+        contact: points of a hand that touches the object; they choose among poses that explain the view about alike.
         config: knobs; seed: of the choice of points.
     Raises:
         InputError: fewer than 20 finite points, a contradictory or missing observation, points in millimetres.
@@ -94,9 +95,6 @@ def estimate_pose(
     if contact is not None:
         found = with_contact(model, scene, contact, found, config)
     return result_of(model, scene, found, config, seed)
-
-
-NO_CONTACTS = np.zeros((0, 4))
 
 
 def observe(
@@ -119,17 +117,6 @@ def observe(
     if points_C is None and mask is None:
         raise InputError("which part of the depth image is the object? Give `mask` or `points_C`, or use find_objects.")
     return observe_depth(depth, intrinsics, mask, points_C=points_C, reach_m=reach_m, table=table, seed=seed)
-
-
-def with_contact(
-    model: PoseModel, scene: Observation, contact: ContactPoints, found: Candidates, config: PoseConfig
-) -> Candidates:
-    """Candidates polished with the contacts; where the view is then explained less, without them."""
-    points = np.asarray(contact.points_C, np.float64).reshape(-1, 3)
-    # together they weigh as much as so many observed points of the same accuracy
-    weight = config.contact_weight * (0.003 / contact.sigma_m) ** 2 / len(points)
-    contacts = np.column_stack([points, np.full(len(points), weight)])
-    return refine(model, scene, contacts, found, config)
 
 
 def result_of(model: PoseModel, scene: Observation, found: Candidates, config: PoseConfig, seed: int) -> PoseResult:

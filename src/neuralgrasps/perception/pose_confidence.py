@@ -32,7 +32,7 @@ def pose_covariance(
 ) -> tuple[np.ndarray, float]:
     """Covariance (6, 6) of a twist [v, w] about the object's centre, and the median distance of the points, metres."""
     points = scene.points[: config.points[2]]
-    distance = np.abs(_distances(model, points, X_CO))
+    distance = np.abs(surface_distances(model, points, X_CO))
     residual = float(np.median(distance))
     H, b = np.empty((6, 6)), np.empty(6)
     centre = X_CO[:3, :3] @ model.centre + X_CO[:3, 3]
@@ -45,7 +45,7 @@ def pose_covariance(
     return np.linalg.inv(information) / (scale[:, None] * scale), residual
 
 
-def _distances(model: PoseModel, points_C: np.ndarray, X_CO: np.ndarray) -> np.ndarray:
+def surface_distances(model: PoseModel, points_C: np.ndarray, X_CO: np.ndarray) -> np.ndarray:
     """(M,) signed distances of points in the camera frame to the posed object."""
     points = np.ascontiguousarray((points_C - X_CO[:3, 3]) @ X_CO[:3, :3])
     out = np.empty(len(points))

@@ -15,6 +15,7 @@ from neuralgrasps.perception.pose_visibility import COST, EVIDENCE, ray_evidence
 
 
 _SAME_COSINE, _SAME_M = float(np.cos(np.deg2rad(8.0))), 0.010  # poses nearer than this are one
+NO_CONTACTS = np.zeros((0, 4))
 _TABLE_DOUBT = 0.1  # a pose off the table must explain so much more of the view
 
 
@@ -34,6 +35,8 @@ class PoseConfig:
         margin_m: what sensor noise may explain, at 1 m.
         ray_cells: about so many pixels of the mask are looked at in the image, in each round.
         contact_weight: weight of all contact points together, 3 mm accurate, as a share of that of the points.
+        contact_share: cost of contacts that the object does not touch; they choose among poses that explain the view
+            worse than the best by no more than this.
     """
 
     yaw_steps: int = 36
@@ -58,6 +61,7 @@ class PoseConfig:
     ray_cells: tuple[int, int, int] = (120, 200, 500)
     fine_weight: float = 0.4
     contact_weight: float = 0.1
+    contact_share: float = 0.05
 
     def terms(self, stage: int) -> Terms:
         """What one round of polishing minimises."""
@@ -115,15 +119,6 @@ def _descend(
     X = (X[:, None] @ model.turns).reshape(-1, 4, 4)
     X = polished(model, scene, contacts, X, config, 1).X_CO[:finalists]
     return polished(model, scene, contacts, X, config, 2)
-
-
-def refine(
-    model: PoseModel, scene: Observation, contacts: np.ndarray, found: Candidates, config: PoseConfig
-) -> Candidates:
-    """Candidates polished once more with contacts; each is kept only where the view is explained no less than before."""
-    after = polished(model, scene, contacts, found.X_CO, config, 2)
-    better = after.cost[0] <= found.cost[0]
-    return after if better else found
 
 
 def polished(

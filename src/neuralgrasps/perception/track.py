@@ -9,9 +9,9 @@ from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.observation import MIN_POINTS, observe_around
-from neuralgrasps.perception.pose import NO_CONTACTS, PoseConfig, PoseResult, observe, result_of
+from neuralgrasps.perception.pose import PoseConfig, PoseResult, observe, result_of
 from neuralgrasps.perception.pose_model import pose_model
-from neuralgrasps.perception.pose_search import polished
+from neuralgrasps.perception.pose_search import NO_CONTACTS, polished
 
 _GATES_M = (0.025, 0.008)  # pixels belong to the object when they lie so near to it, before and after the first polish
 
