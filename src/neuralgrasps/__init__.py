@@ -44,7 +44,14 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.object_model import ObjectModel
     from neuralgrasps.objects.ycb import download_ycb, import_object
     from neuralgrasps.objects.zoo import load_object, object_names
+    from neuralgrasps.perception.contact import ContactPoints
+    from neuralgrasps.perception.find import find_objects
+    from neuralgrasps.perception.frame import Frame
+    from neuralgrasps.perception.frame_files import read_frame, read_frames
+    from neuralgrasps.perception.identify import identify_object
     from neuralgrasps.perception.pose import PoseConfig, estimate_pose
+    from neuralgrasps.perception.table import find_table
+    from neuralgrasps.perception.track import track_pose
     from neuralgrasps.report.page import write_report
     from neuralgrasps.sim.validate import validate_grasps
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
@@ -52,7 +59,9 @@ if TYPE_CHECKING:
 __version__ = "0.3.0"
 
 _HOMES = {
+    "ContactPoints": "perception.contact",
     "DatasetConfig": "dataset.schema",
+    "Frame": "perception.frame",
     "GraspDataset": "dataset.read",
     "GraspSet": "grasps.grasp_set",
     "Hand": "hands.hand",
@@ -71,21 +80,27 @@ _HOMES = {
     "encode_contacts": "model.infer_contacts",
     "encode_points": "model.infer",
     "estimate_pose": "perception.pose",
+    "find_objects": "perception.find",
+    "find_table": "perception.table",
     "hand_names": "hands.zoo",
+    "identify_object": "perception.identify",
     "import_object": "objects.ycb",
     "infer_grasps": "model.infer",
-    "observe_hand": "evaluate.observe",
     "load_grasps": "grasps.grasp_io",
     "load_hand": "hands.zoo",
     "load_object": "objects.zoo",
     "load_run": "model.checkpoint",
     "novel_grasps": "apply.novel",
     "object_names": "objects.zoo",
+    "observe_hand": "evaluate.observe",
     "read_dataset": "dataset.read",
+    "read_frame": "perception.frame_files",
+    "read_frames": "perception.frame_files",
     "retrieve": "apply.retrieve",
     "save_grasps": "grasps.grasp_io",
     "save_run": "model.checkpoint",
     "synthesise": "synthesis.synthesise",
+    "track_pose": "perception.track",
     "train": "model.train",
     "validate_grasps": "sim.validate",
     "verify_dataset": "dataset.verify",
@@ -94,9 +109,11 @@ _HOMES = {
 }
 
 __all__ = [
+    "ContactPoints",
     "DataFormatError",
     "DatasetConfig",
     "DownloadError",
+    "Frame",
     "GraspDataset",
     "GraspSet",
     "Hand",
@@ -123,7 +140,10 @@ __all__ = [
     "encode_contacts",
     "encode_points",
     "estimate_pose",
+    "find_objects",
+    "find_table",
     "hand_names",
+    "identify_object",
     "import_object",
     "infer_grasps",
     "load_grasps",
@@ -134,10 +154,13 @@ __all__ = [
     "object_names",
     "observe_hand",
     "read_dataset",
+    "read_frame",
+    "read_frames",
     "retrieve",
     "save_grasps",
     "save_run",
     "synthesise",
+    "track_pose",
     "train",
     "validate_grasps",
     "verify_dataset",

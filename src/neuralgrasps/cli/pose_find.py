@@ -36,7 +36,7 @@ class Placed:
     @property
     def confidence(self) -> float:
         """Probability that it is this object in this pose."""
-        return self.identity * self.pose.confidence
+        return min(self.identity, self.pose.confidence)
 
     @property
     def is_found(self) -> bool:

@@ -86,9 +86,9 @@ def of_cloud(
     """Points of a hand, in the object's frame: its pose and joints are inferred if the hand is known, else none."""
     import numpy as np
 
-    from neuralgrasps.perception.frame_files import read_cloud
     from neuralgrasps.model.infer import encode_points, infer_grasps
     from neuralgrasps.model.infer import one_view_config as one_view
+    from neuralgrasps.perception.frame_files import read_cloud
 
     book = run.codebook
     name = object_of(book, object_name)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from neuralgrasps.geometry.camera import pixel_rays
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.geometry.camera import pixel_rays
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.clusters import find_clusters
 from neuralgrasps.perception.frame import Frame
@@ -28,13 +28,14 @@ class FoundObject:
 
     Attributes:
         name: of the object. probability: that it is this object and not another or none.
-        pose: where it is. mask: (h, w) bool, its pixels.
+        pose: where it is. mask: (h, w) bool, its pixels. centre_C: (3,) of the object, camera frame, metres.
     """
 
     name: str
     probability: float
     pose: PoseResult
     mask: np.ndarray
+    centre_C: np.ndarray
 
 
 def find_objects(
@@ -75,10 +76,14 @@ def find_objects(
         )
         if seen.name is None:
             continue
-        obj = next(o for o in objects if o.name == seen.name)
-        pose = seen.poses[seen.name]
+        obj, pose = next(o for o in objects if o.name == seen.name), seen.poses[seen.name]
+        if any(_is_taken(obj, pose.X_CO, other) for other in found):
+            continue
         own = mask & _near(obj, pose.X_CO, points_C, mask)
-        found.append(FoundObject(name=seen.name, probability=seen.probability[seen.name], pose=pose, mask=own))
+        centre = pose.X_CO[:3, :3] @ obj.symmetry.centre + pose.X_CO[:3, 3]
+        found.append(
+            FoundObject(name=seen.name, probability=seen.probability[seen.name], pose=pose, mask=own, centre_C=centre)
+        )
         rest = ndimage.binary_opening(mask & ~own, np.ones((3, 3)))
         labels, count = ndimage.label(rest, structure=np.ones((3, 3)))
         for k in range(1, count + 1):
@@ -86,6 +91,12 @@ def find_objects(
             if part.sum() > max(min_pixels, _REST_SHARE * mask.sum()):
                 open_masks.append(part)
     return sorted(found, key=lambda f: -int(f.mask.sum()))
+
+
+def _is_taken(obj: ObjectModel, X_CO: np.ndarray, other: FoundObject) -> bool:
+    """Whether most of an object would lie where another one was found: a piece of that one, taken for a second."""
+    centre = X_CO[:3, :3] @ obj.symmetry.centre + X_CO[:3, 3]
+    return float(np.linalg.norm(centre - other.centre_C)) < 0.25 * float(np.linalg.norm(obj.mesh.extents))
 
 
 def _near(obj: ObjectModel, X_CO: np.ndarray, points_C: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -15,8 +15,7 @@ from neuralgrasps.perception.pose import PoseConfig, PoseResult, observe, result
 from neuralgrasps.perception.pose_model import pose_model
 from neuralgrasps.perception.pose_search import NO_CONTACTS, search
 
-SHARPNESS = 40.0  # of the probabilities: a cost lower by 1 / SHARPNESS makes an object e times as likely
-NONE_COST = 0.40  # "none of these" is as likely as an object that explains the view at this cost
+_SUREST = 1.0e-6  # confidences are not taken closer to 0 or 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,8 +23,9 @@ class Identification:
     """Which object a view shows.
 
     Attributes:
-        name: the most likely object; None when it is most likely none of the library.
-        probability: of every object of the library; with `none_probability` they sum to 1.
+        name: the most likely object; None when none of the library is more likely.
+        probability: of every object of the library, that it is there in the pose found; with `none_probability`, that
+            nothing of the library is, they sum to 1.
         none_probability: that it is none of them.
         poses: the pose of every object, as if it were the one.
     """
@@ -47,7 +47,7 @@ def identify_object(
     config: PoseConfig | None = None,
     seed: int = 0,
 ) -> Identification:
-    """Find out which object is seen, by how well each explains the view in its best pose.
+    """Find out which object is seen: each is placed as well as it can be, and the confidences of the poses decide.
 
     Args:
         objects: the library; names must differ. The rest as for `estimate_pose`.
@@ -58,22 +58,21 @@ def identify_object(
     if not names or len(set(names)) < len(names):
         raise InputError(f"the library holds {names or 'no objects'}; expected at least one, each name once.")
     config = config or PoseConfig()
-    poses, cost = {}, []
+    poses = {}
     scene = observe(
         points_C, depth=depth, intrinsics=intrinsics, mask=mask, table=table,
         reach_m=max(pose_model(obj).diameter for obj in objects), seed=seed,
     )  # fmt: skip
     for obj in objects:
         model = pose_model(obj)
-        found = search(model, scene, NO_CONTACTS, config)
-        poses[obj.name] = result_of(model, scene, found, config, seed)
-        cost.append(float(found.cost[0]))
-    weight = np.exp(-SHARPNESS * (np.array([*cost, NONE_COST]) - min(*cost, NONE_COST)))
-    weight /= weight.sum()
-    best = int(weight.argmax())
+        poses[obj.name] = result_of(model, scene, search(model, scene, NO_CONTACTS, config), config, seed)
+    confidence = np.clip([poses[name].confidence for name in names], _SUREST, 1.0 - _SUREST)
+    odds = confidence / (1.0 - confidence)  # of each object against none of the library
+    none = 1.0 / (1.0 + odds.sum())
+    best = int(odds.argmax())
     return Identification(
-        name=names[best] if best < len(names) else None,
-        probability=dict(zip(names, weight[:-1].tolist(), strict=True)),
-        none_probability=float(weight[-1]),
+        name=names[best] if odds[best] > 1.0 else None,
+        probability=dict(zip(names, (odds * none).tolist(), strict=True)),
+        none_probability=float(none),
         poses=poses,
     )

@@ -18,7 +18,7 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.contact import ContactPoints
 from neuralgrasps.perception.contact_search import with_contact
 from neuralgrasps.perception.observation import Observation, observe_depth, observe_points
-from neuralgrasps.perception.pose_confidence import confidence_of, pose_covariance, shares_of
+from neuralgrasps.perception.pose_confidence import confidence_features, confidence_of, pose_covariance, shares_of
 from neuralgrasps.perception.pose_model import PoseModel, pose_model
 from neuralgrasps.perception.pose_search import NO_CONTACTS, Candidates, PoseConfig, distinct, same_pose, search
 from neuralgrasps.perception.pose_visibility import COST, EXPLAINED
@@ -123,7 +123,7 @@ def result_of(model: PoseModel, scene: Observation, found: Candidates, config: P
     """The result that candidates amount to."""
     kept, shares = merged_shares(model, found)
     covariance, residual = pose_covariance(model, scene, found.X_CO[0], config)
-    confidence = confidence_of(found, float(shares[0]), covariance, model)
+    confidence = confidence_of(confidence_features(model, scene, found, float(shares[0]), covariance, residual))
     likely = shares >= _LEAST_SHARE
     likely[0] = True
     return PoseResult(

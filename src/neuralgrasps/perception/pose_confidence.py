@@ -9,16 +9,17 @@ from neuralgrasps.perception.observation import Observation
 from neuralgrasps.perception.pose_kernels import normal_equations
 from neuralgrasps.perception.pose_model import PoseModel
 from neuralgrasps.perception.pose_search import Candidates, PoseConfig
-from neuralgrasps.perception.pose_visibility import CONFIRMED, COST, EXPLAINED, FREE
+from neuralgrasps.perception.pose_visibility import EXPLAINED, FREE
 
 EFFECTIVE_POINTS = 40.0  # depth errors of neighbouring pixels are alike: all points count as so many independent ones
 _NOISE_FLOOR_M = 1.0e-3
 SHARPNESS = 40.0  # of the shares: a cost lower by 1 / SHARPNESS makes a pose e times as likely
-# Logistic regression on `confidence_features`, fitted on 2,912 estimates of the 13 scans in simulated easy, occluded and
-# hard scenes (none of them used in the benchmark): half with the right object, with and without a table, half with a
-# wrong one (weight 0.2).
-WEIGHTS = np.array([-11.863, -1.239, -1.504, -2.211, -0.359, -1.110, 0.573])
+# Logistic regressions on `confidence_features`; benchmarks/pose_confidence.py fits them.
+WEIGHTS = np.zeros(6)
+TABLE_WEIGHTS = np.zeros(8)
 _FEWEST = 0.003  # shares below this count as so much
+# misfits below these are a real camera's, scan's and table's: they say little
+_RESIDUAL_M, _HEIGHT_M, _TILT_RAD = 0.002, 0.005, float(np.deg2rad(5.0))
 
 
 def shares_of(found: Candidates) -> np.ndarray:
@@ -53,11 +54,14 @@ def surface_distances(model: PoseModel, points_C: np.ndarray, X_CO: np.ndarray) 
     return out
 
 
-def confidence_features(found: Candidates, share: float, covariance: np.ndarray, model: PoseModel) -> np.ndarray:
-    """(7,) one, and what the view leaves open about the first candidate, mostly as logarithms.
+def confidence_features(
+    model: PoseModel, scene: Observation, found: Candidates, share: float, covariance: np.ndarray, residual_m: float
+) -> np.ndarray:
+    """(6,) or with a table (8,): one, and logarithms of what speaks against the first candidate.
 
-    Its cost; the share of the mask not explained; free space that it fills; the share of the other candidates; its
-    standard deviation over a tenth of the diameter; the share of its visible surface that was not measured there.
+    The share of the mask that it does not explain; free space that it fills; the share of the other candidates; its
+    standard deviation over a tenth of the diameter; the median distance of the points; with a table also its height
+    over it and its tilt from the nearest stable pose.
 
     Args:
         share: of all poses that are the first one up to symmetry.
@@ -65,19 +69,28 @@ def confidence_features(found: Candidates, share: float, covariance: np.ndarray,
     evidence = found.evidence[0]
     slide = float(np.linalg.eigvalsh(covariance[:3, :3]).max())
     turn = float(np.linalg.eigvalsh(covariance[3:, 3:]).max()) * model.radius**2
-    return np.array(
-        [
-            1.0,
-            evidence[COST],
-            np.log(max(1.0 - evidence[EXPLAINED], _FEWEST)),
-            np.log(evidence[FREE] + 0.01),
-            np.log(max(1.0 - share, _FEWEST)),
-            np.log(np.sqrt(slide + turn) / (0.1 * model.diameter)),
-            np.log(max(1.0 - evidence[CONFIRMED], 0.0) + 0.01),
-        ]
-    )
+    features = [
+        1.0,
+        np.log(max(1.0 - evidence[EXPLAINED], _FEWEST)),
+        np.log(evidence[FREE] + 0.01),
+        np.log(max(1.0 - share, _FEWEST)),
+        np.log(np.sqrt(slide + turn) / (0.1 * model.diameter)),
+        np.log(1e3 * (residual_m + _RESIDUAL_M)),
+    ]
+    if scene.table.any():
+        height, tilt = table_misfit(model, scene.table, found.X_CO[0])
+        features += [np.log(1e3 * (height + _HEIGHT_M)), np.log(tilt + _TILT_RAD)]
+    return np.array(features)
 
 
-def confidence_of(found: Candidates, share: float, covariance: np.ndarray, model: PoseModel) -> float:
-    """Probability that the first candidate is right, see `PoseResult.confidence`."""
-    return float(1.0 / (1.0 + np.exp(-WEIGHTS @ confidence_features(found, share, covariance, model))))
+def table_misfit(model: PoseModel, table: np.ndarray, X_CO: np.ndarray) -> tuple[float, float]:
+    """How far the posed object hovers over or sinks into a table (4,), metres, and its tilt from rest, radians."""
+    hull = model.hull @ X_CO[:3, :3].T + X_CO[:3, 3]
+    down = -(model.rests @ X_CO[:3, :3].T) @ table[:3]
+    return abs(float((hull @ table[:3]).min() + table[3])), float(np.arccos(np.clip(down.max(), -1.0, 1.0)))
+
+
+def confidence_of(features: np.ndarray) -> float:
+    """Probability that the candidate with these `confidence_features` is right, see `PoseResult.confidence`."""
+    weights = TABLE_WEIGHTS if len(features) == len(TABLE_WEIGHTS) else WEIGHTS
+    return float(1.0 / (1.0 + np.exp(-weights @ features)))

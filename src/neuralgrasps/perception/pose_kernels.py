@@ -94,9 +94,7 @@ def coarse_scores(model, scene, X_CO, point_count, model_count, clip, free, marg
             if towards >= 0.0:
                 continue
             facing += 1
-            total += min(
-                stick_out(scene.depth, scene.outside, scene.camera, scene.image_box, margin, x, y, z)[0], clip
-            )
+            total += min(stick_out(scene.depth, scene.outside, scene.camera, scene.image_box, margin, x, y, z)[0], clip)
         out[n] += free * total / max(facing, 1)
 
 
@@ -369,7 +367,7 @@ def polish(model, scene, contacts, terms, X_CO, steps, cost):  # type: ignore[no
             twist = np.linalg.solve(A, b / scale) / scale
             length = np.sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
             angle = np.sqrt(twist[3] ** 2 + twist[4] ** 2 + twist[5] ** 2)
-            twist *= min(1.0, min(0.05 / max(length, 1.0e-12), 0.5 / max(angle, 1.0e-12)))
+            twist *= min(1.0, 0.05 / max(length, 1.0e-12), 0.5 / max(angle, 1.0e-12))
             move(X_CO[n], scene.centroid, twist, trial)
             new = normal_equations(model, scene, contacts, terms, trial, scene.centroid, H_trial, b_trial)
             if new < now:

@@ -39,9 +39,9 @@ class PoseModel(NamedTuple):
             set of them that the symmetry makes equal.
         rotations: (R, 3, 3) grid of rotations, one of every set that the symmetry makes equal.
         views: (V, 3) unit directions of sight; visible: (V, 3) centroid of what is seen along each.
-        turns: (S, 4, 4) motions of the object nearly onto itself, the identity first, more than its symmetry group has:
-            a view may take one for the other; same: of them, its symmetry group. axis: (3,) about which it can turn by any angle, else 0; `turns` then
-            only turn the axis around.
+        turns: (S, 4, 4) motions of the object nearly onto itself, the identity first: a view may take one for the
+            other; same: of them, its symmetry group. axis: (3,) about which it can turn by any angle, else 0; `turns`
+            and `same` then only turn the axis around.
     """
 
     values: np.ndarray

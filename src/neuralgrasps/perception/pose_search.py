@@ -13,7 +13,6 @@ from neuralgrasps.perception.pose_model import PoseModel
 from neuralgrasps.perception.pose_starts import start_poses
 from neuralgrasps.perception.pose_visibility import COST, EVIDENCE, ray_evidence
 
-
 _SAME_COSINE, _SAME_M = float(np.cos(np.deg2rad(8.0))), 0.010  # poses nearer than this are one
 NO_CONTACTS = np.zeros((0, 4))
 _TABLE_DOUBT = 0.1  # a pose off the table must explain so much more of the view

@@ -9,7 +9,7 @@ from neuralgrasps.perception.observation import Observation
 from neuralgrasps.perception.pose_model import PoseModel
 
 _OUTLINE = (1.0, 99.0)  # percentiles of the observed points that count as their outline
-_OUTLINE_POINTS = 600
+_OUTLINE_POINTS, _HULL_POINTS = 600, 48
 _SURE = 0.05  # weight of the centroid where both sides of the outline are hidden
 
 
@@ -68,7 +68,7 @@ def _outline_shift(model: PoseModel, scene: Observation, R: np.ndarray, visible:
     few = scene.points[:_OUTLINE_POINTS]
     low, high = np.percentile(few[:, :2] / few[:, 2:] * mean_z, _OUTLINE, axis=0)
     extent = np.empty((len(R), 2, 2))
-    _extents(R, visible, model.hull, scene.centroid[0], scene.centroid[1], mean_z, extent)
+    _extents(R, visible, model.hull[:_HULL_POINTS], scene.centroid[0], scene.centroid[1], mean_z, extent)
     to_low, to_high = low - extent[:, 0], high - extent[:, 1]
     weight_low, weight_high = scene.free[[0, 2]] ** 2, scene.free[[1, 3]] ** 2
     shift = np.empty((len(R), 3))
