@@ -36,7 +36,7 @@ VISIBLE = (0.25, 0.80)
 PATCHES = ("table edge", "wall")
 UNKNOWN_KINDS: tuple[str, ...] = (*SHAPES, *PATCHES)
 """What `background_scene` shows."""
-_REDRAWS = 30
+_REDRAWS = 300
 _MIN_PIXELS = 100
 
 
