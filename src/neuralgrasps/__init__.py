@@ -56,7 +56,7 @@ if TYPE_CHECKING:
     from neuralgrasps.sim.validate import validate_grasps
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"
 
 _HOMES = {
     "ContactPoints": "perception.contact",
