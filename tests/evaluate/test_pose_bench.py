@@ -32,6 +32,7 @@ from neuralgrasps.evaluate.pose_bench_methods import (
 )
 from neuralgrasps.evaluate.pose_bench_trials import ContactTrial, IdentityTrial, TrackTrial, _pushes, measure_contact
 from neuralgrasps.evaluate.pose_peers import MissingPeerError
+from neuralgrasps.evaluate.pose_scenes import UNKNOWN_KINDS
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.primitives import box_mesh, cylinder_mesh
 from neuralgrasps.objects.builtin import STAND_INS
@@ -126,7 +127,7 @@ def test_identity_and_refusals() -> None:
     bench = PoseBench(
         identity=[
             named("occluded", "box", "box", True), named("occluded", "box", "can", False),
-            named("hard", "can", None, False), named("background", "", None, True),
+            named("hard", "can", None, False), named("background", "mug", None, True),
             named("left out", "box", "can", False),
         ]
     )  # fmt: skip
@@ -187,9 +188,12 @@ def test_a_run_over_two_objects(measured: PoseBench) -> None:
     assert measured.diameters_m["brick"] == pytest.approx(2 * math.hypot(0.03, 0.05, 0.08))
     assert all(0 < t.cpu_s < 60 and 0 <= t.confidence <= 1 for t in per_method["ours"])
     assert {(t.kind, t.object) for t in measured.identity} == {
-        *((k, name) for k in ("occluded", "hard", "left out") for name in ("brick", "tin")), ("background", ""),
+        *((k, name) for k in ("occluded", "hard", "left out") for name in ("brick", "tin")),
+        ("background", UNKNOWN_KINDS[0]),
     }  # fmt: skip
+    assert all(t.named != t.object for t in measured.identity if t.kind == "left out")
     (brick, tin) = measured.tracking
+    assert all(is_right(e, measured.diameters_m["brick"]) for e in brick.errors)
     assert len(brick.errors) == len(tin.errors) == 3 and tin.errors[-1].add_s_m < 0.003
     assert measured.contact == [] and "no shipped run" in measured.absent["contact term"]
     assert all(t.angle_rad < 0.05 and t.height_m < 0.01 for t in measured.tables if not math.isnan(t.angle_rad))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
@@ -22,7 +22,13 @@ from neuralgrasps.evaluate.pose_bench_methods import (
 )
 from neuralgrasps.evaluate.pose_occluders import Placed, body_of, turn_z
 from neuralgrasps.evaluate.pose_room import random_room
-from neuralgrasps.evaluate.pose_scenes import Condition, PoseScene, background_scene, held_scene
+from neuralgrasps.evaluate.pose_scenes import (
+    UNKNOWN_KINDS,
+    Condition,
+    PoseScene,
+    background_scene,
+    held_scene,
+)
 from neuralgrasps.evaluate.pose_views import see
 from neuralgrasps.geometry.camera import back_project
 from neuralgrasps.geometry.plane import Plane
@@ -45,8 +51,9 @@ class IdentityTrial:
     Attributes:
         kind: occluded and hard scenes of a library object; "left out": occluded ones of an object that was taken out of
             the library; "background": of things that no library has.
-        object: what is there; "" for the background. named: what was said; None = none of the library.
-        right: `named` is right. probability: said of `named`. cpu_s: of the whole question.
+        object: what is there: a library's object, or a kind of background.
+        named: what was said; None = none of the library. right: it is right. probability: said of it.
+        cpu_s: of the whole question.
     """
 
     kind: IdentityKind
@@ -102,25 +109,31 @@ def measure_identity(
     trials = []
     for index in indices:
         if kind == "background":
-            scene = background_scene(child_seed(seed, "background", index), distractors=objects)
+            name = UNKNOWN_KINDS[index % len(UNKNOWN_KINDS)]
+            scene = background_scene(child_seed(seed, "background", index), kind=name, distractors=objects)
         else:
-            condition: Condition = "hard" if kind == "hard" else "occluded"
+            name, condition = objects[target].name, _CONDITION_OF[kind]
             scene = scene_of(library, target, condition, index, seed)
         asked = [obj for i, obj in enumerate(objects) if kind != "left out" or i != target]
-        trials.append(_identified(asked, scene, kind, child_seed(seed, "identity", kind, scene.object, index)))
+        trials.append(_identified(asked, scene, kind, name, child_seed(seed, "identity", kind, name, index)))
     return trials
 
 
-def _identified(objects: Sequence[ObjectModel], scene: PoseScene, kind: IdentityKind, seed: int) -> IdentityTrial:
+_CONDITION_OF: Mapping[IdentityKind, Condition] = {"occluded": "occluded", "hard": "hard", "left out": "occluded"}
+
+
+def _identified(
+    objects: Sequence[ObjectModel], scene: PoseScene, kind: IdentityKind, name: str, seed: int
+) -> IdentityTrial:
     table, _ = fitted_table(scene)
     start = time.process_time()
     found = identify_object(
         objects, depth=scene.depth, intrinsics=scene.intrinsics, mask=scene.mask, table=table, seed=seed
     )
     cpu_s = time.process_time() - start
-    truth = scene.object if kind in ("occluded", "hard") else None
+    truth = name if kind in ("occluded", "hard") else None
     return IdentityTrial(
-        kind=kind, object=scene.object, named=found.name, right=found.name == truth,
+        kind=kind, object=name, named=found.name, right=found.name == truth,
         probability=found.none_probability if found.name is None else found.probability[found.name],
         visible_share=scene.visible_share, cpu_s=cpu_s,
     )  # fmt: skip
@@ -130,7 +143,7 @@ def _identified(objects: Sequence[ObjectModel], scene: PoseScene, kind: Identity
 def _load_identity_loops(library: Library) -> None:
     """Objects prepared and compiled loops loaded in this process, uncounted."""
     scene = scene_of(library, 0, "easy", -1, 0)
-    _identified(open_library(library), scene, "occluded", 0)
+    _identified(open_library(library), scene, "occluded", scene.object, 0)
 
 
 def measure_contact(
