@@ -189,6 +189,12 @@ def test_points_without_an_image_lie_on_the_pixels_of_their_own(fine):
     np.testing.assert_array_equal(np.sort(scene.points, axis=0), np.sort(points, axis=0))
 
 
+@pytest.mark.xfail(strict=True, reason="the pixels' width is the root of the cloud's width times its height: here 0")
+def test_points_on_a_line_have_a_small_image_too():
+    line = np.column_stack([np.linspace(-0.05, 0.05, 200), np.zeros(200), np.full(200, 0.6)])
+    assert observe_points(line, reach_m=REACH_M).depth.size < 1_000_000
+
+
 def test_points_in_any_order_give_the_same_image(fine):
     points = fine.points_C[::7]
     first, second = (observe_points(p, reach_m=REACH_M) for p in (points, points[::-1]))
