@@ -66,7 +66,8 @@ def samples_of(scene: PoseScene, objects: Sequence[ObjectModel], root: int) -> l
 
 
 def _estimate(scene: PoseScene, obj: ObjectModel, table, kind: str, root: int) -> tuple[Sample, float]:  # type: ignore[no-untyped-def]
-    config, model = PoseConfig(), pose_model(obj)
+    # wrong objects are not searched for widely, as when objects are told apart
+    config, model = PoseConfig() if kind == "own" else PoseConfig(wide=1), pose_model(obj)
     seen = observe_depth(
         scene.depth, scene.intrinsics, scene.mask, reach_m=model.diameter, table=table, seed=scene.seed
     )

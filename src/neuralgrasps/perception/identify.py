@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from neuralgrasps.perception.pose_model import pose_model
 from neuralgrasps.perception.pose_search import NO_CONTACTS, search
 
 _SUREST = 1.0e-6  # confidences are not taken closer to 0 or 1
+_SEARCHED_WIDELY = 3  # so many objects, where none explains the view well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,9 +64,15 @@ def identify_object(
         points_C, depth=depth, intrinsics=intrinsics, mask=mask, table=table,
         reach_m=max(pose_model(obj).diameter for obj in objects), seed=seed,
     )  # fmt: skip
+    narrow, cost = replace(config, wide=1), {}
     for obj in objects:
         model = pose_model(obj)
-        poses[obj.name] = result_of(model, scene, search(model, scene, NO_CONTACTS, config), config, seed)
+        found = search(model, scene, NO_CONTACTS, narrow)
+        poses[obj.name], cost[obj.name] = result_of(model, scene, found, config, seed), float(found.cost[0])
+    for obj in sorted(objects, key=lambda one: cost[one.name])[:_SEARCHED_WIDELY]:
+        if config.wide > 1 and cost[obj.name] > config.wide_cost and min(cost.values()) > config.wide_cost:
+            model = pose_model(obj)
+            poses[obj.name] = result_of(model, scene, search(model, scene, NO_CONTACTS, config), config, seed)
     confidence = np.clip([poses[name].confidence for name in names], _SUREST, 1.0 - _SUREST)
     odds = confidence / (1.0 - confidence)  # of each object against none of the library
     none = 1.0 / (1.0 + odds.sum())
