@@ -15,8 +15,8 @@ EFFECTIVE_POINTS = 40.0  # depth errors of neighbouring pixels are alike: all po
 _NOISE_FLOOR_M = 1.0e-3
 SHARPNESS = 40.0  # of the shares: a cost lower by 1 / SHARPNESS makes a pose e times as likely
 # Logistic regressions on `confidence_features`; benchmarks/pose_confidence.py fits them.
-WEIGHTS = np.zeros(6)
-TABLE_WEIGHTS = np.zeros(8)
+WEIGHTS = np.array([3.446, -0.41, -1.463, -0.208, -0.289, -11.427])
+TABLE_WEIGHTS = np.array([-6.768, -0.354, -1.393, -0.198, -0.369, -10.007, -0.733, -4.716])
 _FEWEST = 0.003  # shares below this count as so much
 # misfits below these are a real camera's, scan's and table's: they say little
 _RESIDUAL_M, _HEIGHT_M, _TILT_RAD = 0.002, 0.005, float(np.deg2rad(5.0))
