@@ -153,6 +153,9 @@ def test_contact_is_judged_in_pairs() -> None:
     assert scores["mssd_gain"] == pytest.approx(0.5)
     assert (scores["made_better"], scores["made_worse"]) == (pytest.approx(0.6), pytest.approx(0.1))
     assert scores["sign_p"] == pytest.approx(2 * (1 + 7) / 2**7)  # 6 of 7
+    assert (scores["nearer"], scores["further_off"]) == (pytest.approx(0.6), pytest.approx(0.1))
+    assert scores["nearer_p"] == scores["sign_p"]
+    assert (scores["mssd_median_without_mm"], scores["mssd_median_with_mm"]) == (pytest.approx(60), pytest.approx(5))
     assert contact_scores([held(good, good)], {"box": 0.1})["sign_p"] == 1.0
     figures = pose_figures(PoseBench(contact=trials, diameters_m={"box": 0.1}))
     assert figures["contact_mssd_gain_unseen"] == -1.0

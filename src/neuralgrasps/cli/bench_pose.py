@@ -40,7 +40,8 @@ _NOTES = {
     "_small_gicp": "generalised ICP from 64 starts; _ppf: OpenCV's point pair features, aligned by generalised ICP",
     "contact_": "ours, with and without the contacts of a hand that holds the object and is believed 2 mm and 1 degree "
     "off, in the air, sensor and mask as in hard; right: ADD-S < 1 cm and MSSD < 0.1 diameters; seen: at least half of "
-    "the contacts are within 10 mm of an observed point; sign_p: two-sided sign test of better against worse",
+    "the contacts are within 10 mm of an observed point; sign_p: two-sided sign test of better against worse; nearer, "
+    "further_off: MSSD changed by more than 1 mm",
     "track_": "a camera that stands still, no mask; the object is pushed 5 to 10 mm and turned 2 to 3 degrees a frame; "
     "kept: share of frames that are right",
 }
@@ -59,7 +60,7 @@ def bench_pose(
 
     Args:
         objects: names, files or folders; default the YCB scans that are here, else the built-in seven.
-        count: scenes per object and set; default 24, quick 10.
+        count: scenes per object and set; default 40, quick 10.
     """
     from neuralgrasps.evaluate.pose_bench import QUICK, PoseBenchConfig
     from neuralgrasps.evaluate.pose_bench import bench_pose as measure

@@ -48,14 +48,14 @@ class PoseBenchConfig:
         seed: root of every random number.
     """
 
-    scenes: int = 24
-    others: int = 16
+    scenes: int = 40
+    others: int = 24
     peers: int = 16
-    identity: int = 10
-    left_out: int = 5
-    background: int = 150
-    held: int = 9
-    sequences: int = 2
+    identity: int = 12
+    left_out: int = 6
+    background: int = 210
+    held: int = 10
+    sequences: int = 3
     frames: int = 20
     seed: int = 0
 
@@ -65,7 +65,7 @@ class PoseBenchConfig:
 
 
 QUICK = PoseBenchConfig(
-    scenes=10, others=4, peers=3, identity=3, left_out=1, background=40, held=1, sequences=1, frames=10
+    scenes=10, others=4, peers=3, identity=3, left_out=1, background=28, held=1, sequences=1, frames=10
 )
 """The amounts of `--quick`."""
 

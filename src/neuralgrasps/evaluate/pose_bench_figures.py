@@ -147,8 +147,8 @@ def contact_scores(trials: Sequence[ContactTrial], diameters_m: Mapping[str, flo
 
     Returns:
         right_without, right_with: share right (`is_right`); mssd_gain: share with MSSD < 0.1 diameters, with minus
-        without. made_better, made_worse: share that became right, and wrong. further_off: share whose MSSD grew by more
-        than 1 mm; nearer likewise. sign_p: two-sided sign test of better against worse; 1 when neither occurs.
+        without. made_better, made_worse: share that became right, and wrong. nearer, further_off: share whose MSSD fell
+        and grew by more than 1 mm. sign_p, nearer_p: two-sided sign tests of these pairs; 1 when neither occurs.
     """
     diameter = np.array([diameters_m[t.object] for t in trials])
     before, after = (
@@ -156,20 +156,28 @@ def contact_scores(trials: Sequence[ContactTrial], diameters_m: Mapping[str, flo
     )
     mssd_before, mssd_after = (np.array([getattr(t, k).mssd_m for t in trials]) for k in _BOTH)
     better, worse = int((after & ~before).sum()), int((before & ~after).sum())
+    nearer, further = (int((sign * (mssd_before - mssd_after) > _WORSE_M).sum()) for sign in (1.0, -1.0))
     return {
         "right_without": float(before.mean()),
         "right_with": float(after.mean()),
         "mssd_gain": float((mssd_after < 0.1 * diameter).mean() - (mssd_before < 0.1 * diameter).mean()),
         "made_better": better / len(trials),
         "made_worse": worse / len(trials),
-        "nearer": float((mssd_after < mssd_before - _WORSE_M).mean()),
-        "further_off": float((mssd_after > mssd_before + _WORSE_M).mean()),
-        "sign_p": float(binomtest(better, better + worse).pvalue) if better + worse else 1.0,
+        "sign_p": _sign_test(better, worse),
+        "nearer": nearer / len(trials),
+        "further_off": further / len(trials),
+        "nearer_p": _sign_test(nearer, further),
+        "mssd_median_without_mm": 1e3 * float(np.median(mssd_before)),
+        "mssd_median_with_mm": 1e3 * float(np.median(mssd_after)),
         "count": float(len(trials)),
     }
 
 
 _BOTH = ("before", "after")
+
+
+def _sign_test(more: int, less: int) -> float:
+    return float(binomtest(more, more + less).pvalue) if more + less else 1.0
 
 
 def _tracking_figures(bench: PoseBench) -> dict[str, float]:
