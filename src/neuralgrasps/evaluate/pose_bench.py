@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from neuralgrasps.errors import InputError, NeuralGraspsError
@@ -102,6 +102,8 @@ def bench_pose(
     objects = open_library(library)
     bench = PoseBench(diameters_m={obj.name: diameter_m(obj) for obj in objects})
     counts = _counts(library, config, bench)
+    if CONTACT not in counts:
+        library = replace(library, run=None)
     tasks = _tasks(library, config, counts, bench)
     results: list[Any] = [None] * len(tasks)
     for done, (index, found) in enumerate(run_tasks(_work, tasks, workers=workers), start=1):

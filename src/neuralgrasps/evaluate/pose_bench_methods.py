@@ -19,6 +19,7 @@ from neuralgrasps.geometry.camera import back_project
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.model.checkpoint import Run, load_run
 from neuralgrasps.model.kinematic_field import KinematicField
+from neuralgrasps.model.run_notes import read_notes, run_folder
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.frame import Frame
@@ -92,11 +93,14 @@ def open_library_run(library: Library) -> Run:
     """The run of a library, with that library's objects.
 
     Raises:
-        InputError: the library names no run, or an object is not the run's.
+        InputError: the library names no run, or an object of the run is missing or another one.
     """
     if library.run is None:
         raise InputError("the library has no run; expected the name of one.")
     objects = {obj.name: obj for obj in (load_object(source) for source in library.run_sources)}
+    missing = [name for name in read_notes(run_folder(library.run)).objects if name not in objects]
+    if missing:
+        raise InputError(f"run '{library.run}' is also of {', '.join(missing)}; give the meshes of these objects too.")
     return load_run(library.run, objects=objects)
 
 
