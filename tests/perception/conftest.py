@@ -56,7 +56,7 @@ def at(x: float, y: float, z: float, yaw_rad: float = 0.0) -> np.ndarray:
 
 def _standing(obj: ObjectModel, rest: int = 0, *, yaw_rad: float = 0.0, x: float = 0.0, y: float = 0.0) -> np.ndarray:
     poses, _ = resting_poses(obj.mesh.vertices, obj.com_O)
-    return at(x, y, 0.0, yaw_rad) @ poses[rest]
+    return at(x, y, 0.0, yaw_rad) @ poses[rest % len(poses)]
 
 
 def _look(

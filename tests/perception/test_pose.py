@@ -1,6 +1,8 @@
-"""Pose from one depth view: recovered to a millimetre without noise, modulo symmetry."""
+"""Pose from one depth view: exact without noise, modulo symmetry, and honest where the view cannot decide."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,173 +10,537 @@ from scipy.spatial.transform import Rotation
 
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.evaluate.pose import pose_errors
-from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
+from neuralgrasps.geometry.camera import look_at
 from neuralgrasps.geometry.mesh import merge_meshes
-from neuralgrasps.geometry.primitives import box_mesh, sphere_mesh
-from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.perception.pose import PoseConfig, estimate_pose, free_space_violation
-from neuralgrasps.sim.camera import DepthNoise, render_depth_view
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.primitives import box_mesh, cylinder_mesh
+from neuralgrasps.objects.zoo import load_object
+from neuralgrasps.perception.pose import PoseConfig, estimate_pose
+from neuralgrasps.sim.camera import DepthNoise
 
-CAMERA = Intrinsics.from_fov(np.deg2rad(35.0), 200, 150)
-X_WC = look_at(np.array([0.55, 0.2, 0.4]), np.array([0.0, 0.0, 0.03]))
+FRONT = look_at(np.array([0.6, 0.0, 0.03]), np.array([0.0, 0.0, 0.03]))
+FACING = 0.345  # yaw at which the camera of `look` sees an upright box's face head on
+TOWARDS = np.array([np.cos(FACING), np.sin(FACING)])
 
 
-def _moved(mesh, shift):
+def _at(x, y, z, yaw_rad=0.0):
     X = np.eye(4)
-    X[:3, 3] = shift
-    return mesh.transformed(X)
+    X[:3, :3] = Rotation.from_euler("z", yaw_rad).as_matrix()
+    X[:3, 3] = [x, y, z]
+    return X
+
+
+def _arguments(seen, how):
+    table = {"table": seen.table} if "table" in how else {}
+    return table | ({"points_C": seen.points_C} if "points" in how else seen.image)
+
+
+def _assert_near(obj, X_CO, truth, *, metres, degrees):
+    errors = pose_errors(obj, X_CO, truth)
+    assert errors.translation_m < metres
+    assert np.rad2deg(errors.rotation_rad) < degrees
+    assert errors.add_s_m < metres
+
+
+def _lowest(obj, X_CO, table):
+    return float(table.height(obj.mesh.vertices @ X_CO[:3, :3].T + X_CO[:3, 3]).min())
 
 
 @pytest.fixture(scope="module")
-def objects(make_object):
-    corner = merge_meshes(
-        [box_mesh([0.05, 0.02, 0.015]), _moved(box_mesh([0.012, 0.02, 0.04]), [0.038, 0.0, 0.025]),
-         _moved(box_mesh([0.015, 0.03, 0.01]), [-0.03, 0.03, 0.004])]
-    )  # fmt: skip
-    return {
-        "box": make_object("box", box_mesh([0.03, 0.045, 0.06]), symmetry=True),
-        "ball": make_object("ball", sphere_mesh(0.04, segments=64), symmetry=True),
-        "corner": make_object("corner", corner, symmetry=True),
-    }
+def cube(make_object):
+    """Nearly a cube: two sides of 5 cm, one of 6 cm."""
+    return make_object("cube", box_mesh([0.025, 0.025, 0.030]), symmetry=True)
 
 
-def _look(obj, rotvec, *, noise=None, seed=0):
-    X_WO = np.eye(4)
-    X_WO[:3, :3] = Rotation.from_rotvec(rotvec).as_matrix()
-    X_WO[:3, 3] = [0.01, -0.02, 0.05]
-    floor = np.eye(4)
-    floor[2, 3] = -0.06
-    view = render_depth_view(
-        [obj.mesh, box_mesh([0.5, 0.5, 0.01])], np.stack([X_WO, floor]), X_WC=X_WC, intrinsics=CAMERA, noise=noise,
-        seed=seed,
-    )  # fmt: skip
-    return view, back_project(view.depth, CAMERA, mask=view.mesh_index == 0), np.linalg.inv(X_WC) @ X_WO
+@pytest.fixture(scope="module")
+def bar(make_object):
+    """20 cm long, 4 cm thick."""
+    return make_object("bar", box_mesh([0.10, 0.02, 0.02]), symmetry=True)
 
 
-TURNS = ([0.4, 0.9, -0.3], [-1.2, 0.5, 2.0])
+# ---- a known pose
 
 
-@pytest.mark.parametrize("name", ["box", "ball", "corner"])
-@pytest.mark.parametrize("turn", TURNS)
-def test_pose_without_noise_is_good_to_a_millimetre_and_a_degree(objects, name, turn):
-    obj = objects[name]
-    view, points_C, truth = _look(obj, turn)
-    result = estimate_pose(obj, points_C, depth=view.depth, intrinsics=CAMERA)
-    errors = pose_errors(obj, result.X_CO, truth)
-    assert errors.translation_m < 1e-3
-    assert np.rad2deg(errors.rotation_rad) < 1.0
-    assert result.converged and result.residual < 5e-4
-    np.testing.assert_array_equal(result.alternatives_X_CO[0], result.X_CO)
-    assert (np.diff(result.alternatives_score_m) >= 0).all()
+@pytest.mark.parametrize("how", ["points", "points and table", "image", "image and table"])
+@pytest.mark.parametrize("name", ["box", "ball", "can", "wedge", "corner", "bevelled", "rimmed"])
+def test_a_known_pose_is_recovered_to_half_a_millimetre(things, look, standing, name, how):
+    obj = things[name]
+    for rest, yaw in ((0, 1.0), (1, 2.6)):
+        seen = look(obj.mesh, standing(obj, rest, yaw_rad=yaw))
+        found = estimate_pose(obj, **_arguments(seen, how))
+        _assert_near(obj, found.X_CO, seen.X_CO, metres=5e-4, degrees=0.5)
+        assert found.converged and found.confidence > 0.9
+        assert found.explained > 0.95 and found.residual_m < 2e-4 and found.score > 0.9
 
 
-@pytest.mark.parametrize("name", ["box", "ball", "corner"])
-def test_pose_with_sensor_noise_is_good_to_three_millimetres(objects, name):
-    obj = objects[name]
-    for seed, turn in enumerate(TURNS):
-        view, points_C, truth = _look(obj, turn, noise=DepthNoise(), seed=seed)
-        errors = pose_errors(obj, estimate_pose(obj, points_C, depth=view.depth, intrinsics=CAMERA).X_CO, truth)
-        assert errors.add_s_m < 3e-3 and errors.translation_m < 3e-3
-        assert np.rad2deg(errors.rotation_rad) < 4.0
+def test_any_pose_in_the_air_is_recovered(things, look):
+    for seed, name in enumerate(("wedge", "corner", "box", "rimmed")):
+        X_WO = _at(0.02, -0.03, 0.06)
+        X_WO[:3, :3] = Rotation.random(random_state=seed).as_matrix()
+        seen = look(things[name].mesh, X_WO, table=False)
+        for how in ("points", "image"):
+            found = estimate_pose(things[name], **_arguments(seen, how))
+            _assert_near(things[name], found.X_CO, seen.X_CO, metres=1e-3, degrees=1.0)
 
 
-def test_moving_the_points_moves_the_pose(objects):
-    obj = objects["corner"]
-    _, points_C, _ = _look(obj, TURNS[0])
-    shift = np.array([0.03, -0.02, 0.15])
-    first, second = estimate_pose(obj, points_C), estimate_pose(obj, points_C + shift)
-    errors = pose_errors(obj, second.X_CO, np.block([[np.eye(3), shift[:, None]], [np.zeros(3), 1.0]]) @ first.X_CO)
-    assert errors.mssd_m < 1e-3
+def test_an_outline_places_what_faces_do_not(things, look):
+    # two faces of the box are seen; how far it reaches along both only its outline tells, to a pixel of 2.3 mm
+    seen = look(things["box"].mesh, _at(0.0, 0.0, 0.06, FACING))
+    for how in ("points", "image"):
+        found = estimate_pose(things["box"], **_arguments(seen, how))
+        _assert_near(things["box"], found.X_CO, seen.X_CO, metres=2.3e-3, degrees=0.3)
 
 
-def test_stray_points_do_not_spoil_the_pose(objects):
-    obj = objects["corner"]
-    view, points_C, truth = _look(obj, TURNS[0])
-    stray = np.random.default_rng(0).uniform(-0.08, 0.08, (len(points_C) // 8, 3)) + points_C.mean(axis=0)
-    result = estimate_pose(obj, np.concatenate([points_C, stray]), depth=view.depth, intrinsics=CAMERA)
-    errors = pose_errors(obj, result.X_CO, truth)
-    assert errors.translation_m < 2e-3 and np.rad2deg(errors.rotation_rad) < 1.5
+@pytest.mark.parametrize("name", ["bevelled", "rimmed"])
+@pytest.mark.parametrize("how", ["points", "image and table"])
+def test_of_turns_that_look_alike_the_true_one_is_chosen(things, look, standing, name, how):
+    obj = things[name]
+    for yaw in (0.4, 1.2, -0.4):  # the cut edge is in view
+        for upside_down in (False, True):
+            X_WO = _at(0.0, 0.0, 0.06 if name == "bevelled" else 0.0, yaw)
+            if upside_down:
+                X_WO = X_WO @ np.diag([1.0, -1.0, -1.0, 1.0])
+                X_WO[2, 3] += 0.096 if name == "rimmed" else 0.0
+                X_WO = X_WO if name == "rimmed" else X_WO @ _at(0.0, 0.0, 0.0, 0.5)
+            seen = look(obj.mesh, X_WO)
+            found = estimate_pose(obj, **_arguments(seen, how))
+            assert pose_errors(obj, found.X_CO, seen.X_CO).mssd_m < 1e-3
+            assert found.alternatives_probability[0] > 0.4
 
 
-def test_points_that_are_not_finite_are_ignored(objects):
-    obj = objects["box"]
-    _, points_C, truth = _look(obj, TURNS[0])
-    dirty = np.concatenate([points_C, [[np.nan, 0, 0], [np.inf, 0, 1]]])
-    assert pose_errors(obj, estimate_pose(obj, dirty).X_CO, truth).add_s_m < 1e-3
+@pytest.fixture(scope="module")
+def mug(make_object):
+    """A can with a handle so small that all but 5 % of its surface is a can's."""
+    handle = box_mesh([0.012, 0.004, 0.020]).transformed(_at(0.05, 0.0, 0.05))
+    body = cylinder_mesh(0.04, 0.05, segments=64).transformed(_at(0.0, 0.0, 0.05))
+    return make_object("mug", merge_meshes([body, handle]), symmetry=True)
 
 
-def test_one_seed_one_pose(objects):
-    _, points_C, _ = _look(objects["corner"], TURNS[0])
-    first, second = (estimate_pose(objects["corner"], points_C, seed=4) for _ in range(2))
-    np.testing.assert_array_equal(first.X_CO, second.X_CO)
-    np.testing.assert_array_equal(first.alternatives_score_m, second.alternatives_score_m)
+def test_a_handle_gives_a_can_a_heading(look, mug):
+    for yaw in (-1.2, -0.6, 0.0, 0.6, 1.2, 1.8):
+        seen = look(mug.mesh, _at(0.0, 0.0, 0.0, yaw))
+        for how in ("image", "image and table"):
+            assert pose_errors(mug, estimate_pose(mug, **_arguments(seen, how)).X_CO, seen.X_CO).mssd_m < 1e-3
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="what is round but for a twentieth of its surface gets one start per resting pose, not one per heading",
+)
+def test_a_handle_that_is_partly_hidden_gives_a_can_a_heading(look, mug):
+    seen = look(mug.mesh, _at(0.0, 0.0, 0.0, 2.8))
+    found = estimate_pose(mug, **_arguments(seen, "image and table"))
+    assert pose_errors(mug, found.X_CO, seen.X_CO).mssd_m < 5e-3
+
+
+@pytest.mark.parametrize("name", ["box", "ball", "wedge", "corner", "can"])
+def test_with_sensor_noise_the_pose_is_good_to_three_millimetres(things, look, standing, name):
+    obj = things[name]
+    for seed, yaw in enumerate((0.8, 2.4)):
+        seen = look(obj.mesh, standing(obj, yaw_rad=yaw), noise=DepthNoise(), seed=seed)
+        found = estimate_pose(obj, **_arguments(seen, "image and table"))
+        _assert_near(obj, found.X_CO, seen.X_CO, metres=3e-3, degrees=3.0)
+        assert found.converged
+
+
+@pytest.mark.parametrize("scan", ["004_sugar_box", "021_bleach_cleanser", "051_large_clamp"])
+def test_scans_are_found_from_any_side(assets, look, standing, scan):
+    obj = load_object(assets / "ycb" / f"{scan}.ply")
+    for rest, yaw in ((0, 0.9), (0, 4.0), (1, 2.2)):
+        seen = look(obj.mesh, standing(obj, rest, yaw_rad=yaw))
+        for how in ("points", "image and table"):
+            found = estimate_pose(obj, **_arguments(seen, how))
+            assert pose_errors(obj, found.X_CO, seen.X_CO).mssd_m < 2e-3
+            assert found.confidence > 0.9
+
+
+# ---- what must not matter
+
+
+def test_moving_the_points_moves_the_pose(things, look, standing):
+    obj = things["corner"]
+    points = look(obj.mesh, standing(obj, yaw_rad=1.0)).points_C
+    turn = _at(0.0, 0.0, 0.0, 0.7)  # of the camera about its axis
+    first, second = estimate_pose(obj, points), estimate_pose(obj, points @ turn[:3, :3].T)
+    assert pose_errors(obj, second.X_CO, turn @ first.X_CO).mssd_m < 1e-3
+
+
+def test_stray_points_do_not_spoil_the_pose(things, look, standing):
+    obj = things["corner"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    stray = np.random.default_rng(0).uniform(-0.08, 0.08, (len(seen.points_C) // 8, 3)) + seen.points_C.mean(axis=0)
+    found = estimate_pose(obj, np.concatenate([seen.points_C, stray]))
+    _assert_near(obj, found.X_CO, seen.X_CO, metres=2e-3, degrees=1.0)
+    # a mask that spills over onto the table
+    mask = seen.mask.copy()
+    for _ in range(2):
+        mask[1:] |= mask[:-1].copy()
+        mask[:, 1:] |= mask[:, :-1].copy()
+    assert mask.sum() > 1.1 * seen.mask.sum()
+    spilled = estimate_pose(obj, depth=seen.depth, intrinsics=seen.intrinsics, mask=mask, table=seen.table)
+    _assert_near(obj, spilled.X_CO, seen.X_CO, metres=3e-3, degrees=1.5)
+
+
+def test_points_that_are_not_finite_are_ignored(things, look, standing):
+    obj = things["box"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    dirty = np.concatenate([seen.points_C, [[np.nan, 0, 0], [np.inf, 0, 1], [0, -np.inf, 1]]])
+    _assert_near(obj, estimate_pose(obj, dirty).X_CO, seen.X_CO, metres=5e-4, degrees=0.5)
+
+
+def test_few_points_are_enough(things, look, standing):
+    obj = things["box"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    found = estimate_pose(obj, seen.points_C[:: len(seen.points_C) // 60])
+    assert pose_errors(obj, found.X_CO, seen.X_CO).add_s_m < 3e-3
+
+
+@pytest.mark.parametrize("share", [0.6, 0.75])
+@pytest.mark.parametrize("name", ["box", "wedge"])
+def test_half_an_object_at_the_images_border_is_recovered(things, look, standing, name, share):
+    obj = things[name]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    columns = np.flatnonzero(seen.mask.any(axis=0))
+    width = int(columns[0] + share * (columns[-1] - columns[0]))
+    k = replace(seen.intrinsics, width=width)
+    found = estimate_pose(obj, depth=seen.depth[:, :width], intrinsics=k, mask=seen.mask[:, :width])
+    _assert_near(obj, found.X_CO, seen.X_CO, metres=1.5e-3, degrees=0.5)
+
+
+def test_a_border_of_nothing_around_the_image_changes_nothing(things, look, standing):
+    obj = things["wedge"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    k = seen.intrinsics
+    larger = replace(k, cx=k.cx + 64, cy=k.cy + 32, width=k.width + 128, height=k.height + 64)
+    depth, mask = (np.pad(a, ((32, 32), (64, 64))) for a in (seen.depth, seen.mask))
+    first = estimate_pose(obj, **seen.image)
+    second = estimate_pose(obj, depth=depth, intrinsics=larger, mask=mask)
+    np.testing.assert_allclose(first.X_CO, second.X_CO, atol=2e-4)
+
+
+def test_points_with_an_image_are_as_good_as_its_mask(things, look, standing):
+    obj = things["wedge"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    by_mask = estimate_pose(obj, **seen.image)
+    by_points = estimate_pose(obj, seen.points_C, depth=seen.depth, intrinsics=seen.intrinsics)
+    np.testing.assert_allclose(by_points.X_CO, by_mask.X_CO, atol=1e-9)
+
+
+def test_one_seed_one_pose(things, look, standing):
+    obj = things["corner"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    first = estimate_pose(obj, seed=4, **seen.image)
+    estimate_pose(things["box"], seen.points_C, seed=1)  # what was estimated before does not matter
+    second = estimate_pose(obj, seed=4, **seen.image)
+    for name in (
+        "X_CO", "confidence", "score", "residual_m", "explained", "covariance", "alternatives_X_CO",
+        "alternatives_probability",
+    ):  # fmt: skip
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     assert first.seed == 4
+    for seed in range(3):
+        _assert_near(obj, estimate_pose(obj, seed=seed, **seen.image).X_CO, seen.X_CO, metres=5e-4, degrees=0.5)
 
 
-def test_free_space_tells_apart_what_the_visible_points_cannot(objects):
-    # only the top face of the box is observed: the box may as well stick out to the left or the right of it
-    obj = objects["box"]
-    view, points_C, truth = _look(obj, [0.0, 0.0, 0.0])
-    aside = np.eye(4)
-    aside[0, 3] = -0.03
-    top = view.mesh_index == 0
-    wrong = truth @ aside
-    right_m, wrong_m = free_space_violation(obj, np.stack([truth, wrong]), view.depth, CAMERA)
-    assert right_m < 1e-5
-    assert wrong_m > 2e-3
-    assert top.any() and len(points_C) > 100
+def test_the_arguments_are_left_as_they_are(things, look, standing):
+    obj = things["box"]
+    seen = look(obj.mesh, standing(obj))
+    depth, mask, points = seen.depth.copy(), seen.mask.copy(), seen.points_C.copy()
+    estimate_pose(obj, table=seen.table, **seen.image)
+    estimate_pose(obj, seen.points_C)
+    np.testing.assert_array_equal(seen.depth, depth)
+    np.testing.assert_array_equal(seen.mask, mask)
+    np.testing.assert_array_equal(seen.points_C, points)
 
 
-def test_free_space_is_silent_where_nothing_was_measured_or_something_is_in_front(objects):
-    obj = objects["box"]
-    view, _, truth = _look(obj, TURNS[0])
-    for depth in (np.zeros_like(view.depth), np.full_like(view.depth, np.nan), np.full_like(view.depth, np.inf),
-                  np.full_like(view.depth, 0.1)):  # fmt: skip
-        assert free_space_violation(obj, truth[None], depth, CAMERA)[0] == 0.0
-    far = np.full_like(view.depth, 5.0)  # the camera saw through everything: all counts, clipped
-    assert free_space_violation(obj, truth[None], far, CAMERA, clip_m=0.02)[0] == pytest.approx(0.02)
-    behind = np.diag([1.0, 1.0, 1.0, 1.0])
-    behind[2, 3] = -1.0
-    assert free_space_violation(obj, behind[None], far, CAMERA)[0] == 0.0
+# ---- free space and what hides
 
 
-def test_the_free_space_term_decides_between_poses_of_equal_fit(make_object):
-    # of a bar only a strip of the middle is used, so it may slide along itself; the camera saw past its true ends
-    bar = make_object("bar", box_mesh([0.08, 0.02, 0.02]))
-    view, points_C, truth = _look(bar, [0.0, 0.0, 0.5])
-    along = (points_C - truth[:3, 3]) @ truth[:3, 0]
-    strip = points_C[np.abs(along - 0.05) < 0.015]
-    slid = truth.copy()
-    slid[:3, 3] += 0.06 * truth[:3, 0]
-    for pose in (truth, slid):
-        fit = query_grid_numpy(bar.sdf, (strip - pose[:3, 3]) @ pose[:3, :3])
-        assert np.abs(fit).max() < 5e-4
-    right_m, wrong_m = free_space_violation(bar, np.stack([truth, slid]), view.depth, CAMERA)
-    assert right_m < 1e-4 and wrong_m > 3e-3
-    seeing = estimate_pose(bar, strip, depth=view.depth, intrinsics=CAMERA)
-    assert free_space_violation(bar, seeing.X_CO[None], view.depth, CAMERA)[0] < 1e-3
+def test_the_background_decides_between_poses_of_equal_fit(things, look, cube):
+    # the square face of 5 cm is seen head on: a side of 6 cm would fit its points, were it not for what is beside it
+    X_WO = np.eye(4)
+    X_WO[:3, :3] = Rotation.from_euler("y", 90.0, degrees=True).as_matrix()
+    X_WO[2, 3] = 0.03
+    wall = (box_mesh([0.01, 2.0, 2.0]), _at(-0.3, 0.0, 0.0))
+    seen = look(cube.mesh, X_WO, X_WC=FRONT, table=False, others=[wall])
+    found = estimate_pose(cube, **seen.image)
+    assert pose_errors(cube, found.X_CO, seen.X_CO).mssd_m < 3e-3
 
 
-def test_a_wrong_object_does_not_converge(objects):
-    view, points_C, _ = _look(objects["box"], TURNS[0])
-    result = estimate_pose(objects["ball"], points_C, depth=view.depth, intrinsics=CAMERA)
-    assert not result.converged and result.score_m > 0.003
+@pytest.mark.parametrize("name", ["wedge", "corner", "rimmed"])
+def test_an_object_behind_a_post_is_recovered(things, look, standing, name):
+    obj = things[name]
+    aside = np.array([-TOWARDS[1], TOWARDS[0]])
+    post = (box_mesh([0.01, 0.02, 0.15]), _at(*(0.12 * TOWARDS + 0.01 * aside), 0.15, FACING))
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0), others=[post])
+    share = seen.mask.sum() / look(obj.mesh, standing(obj, yaw_rad=1.0)).mask.sum()
+    assert 0.25 < share < 0.8
+    found = estimate_pose(obj, **_arguments(seen, "image and table"))
+    _assert_near(obj, found.X_CO, seen.X_CO, metres=3e-3, degrees=0.7)
 
 
-def test_bad_input_is_named(objects):
-    box, points = objects["box"], np.random.default_rng(0).uniform(0.5, 1.0, (30, 3))
-    with pytest.raises(InputError, match="19 finite points"):
-        estimate_pose(box, np.concatenate([points[:19], np.full((5, 3), np.nan)]))
-    with pytest.raises(ShapeError, match="points_C has shape"):
-        estimate_pose(box, points[:, :2])
-    with pytest.raises(InputError, match="both `depth` and `intrinsics`"):
-        estimate_pose(box, points, depth=np.zeros((150, 200)))
-    with pytest.raises(InputError, match="150 x 200"):
-        estimate_pose(box, points, depth=np.zeros((10, 20)), intrinsics=CAMERA)
+# ---- the table
 
 
-def test_more_points_than_needed_or_fewer_are_fine(objects):
-    obj = objects["box"]
-    _, points_C, truth = _look(obj, TURNS[0])
-    few = estimate_pose(obj, points_C[:: len(points_C) // 40], config=PoseConfig(rotations=500))
-    assert pose_errors(obj, few.X_CO, truth).add_s_m < 5e-3
+def _behind_a_wall(things, look, name, height=0.065):
+    """The upper part of an upright object."""
+    wall = (box_mesh([0.005, 0.15, height]), _at(*(0.10 * TOWARDS), height, FACING))
+    X_WO = _at(0.0, 0.0, 0.06 if name in ("box", "bevelled") else 0.0, FACING if name == "box" else 1.0)
+    seen = look(things[name].mesh, X_WO, others=[wall])
+    share = seen.mask.sum() / look(things[name].mesh, X_WO).mask.sum()
+    return seen, share
+
+
+@pytest.mark.parametrize("name", ["box", "bevelled", "rimmed"])
+def test_with_a_table_what_is_hidden_below_stands_on_it(things, look, name):
+    seen, share = _behind_a_wall(things, look, name)
+    assert 0.2 < share < 0.7
+    found = estimate_pose(things[name], **_arguments(seen, "image and table"))
+    assert abs(_lowest(things[name], found.X_CO, seen.table)) < 1e-3
+    assert pose_errors(things[name], found.X_CO, seen.X_CO).mssd_m < 4e-3
+
+
+def test_the_table_is_what_makes_it_stand(things, look):
+    # the box is 12 cm high or 9 cm or 6 cm: only the table tells how far it goes on behind the wall
+    seen, _ = _behind_a_wall(things, look, "box", height=0.075)
+    heights = [
+        _lowest(things["box"], estimate_pose(things["box"], **_arguments(seen, how)).X_CO, seen.table)
+        for how in ("image", "image and table")
+    ]
+    assert abs(heights[1]) < 1e-3 and abs(heights[1]) < abs(heights[0])
+
+
+@pytest.mark.parametrize("offset_m", [-0.5, -0.2, 0.2, 0.5])
+@pytest.mark.parametrize("name", ["box", "wedge", "corner", "rimmed"])
+def test_a_table_that_is_elsewhere_does_not_ruin_the_pose(things, look, standing, name, offset_m):
+    obj = things[name]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    wrong = Plane(seen.table.normal, seen.table.offset_m + offset_m)
+    found = estimate_pose(obj, table=wrong, **seen.image)
+    _assert_near(obj, found.X_CO, seen.X_CO, metres=1e-3, degrees=0.5)
+
+
+def test_a_table_is_a_prior_not_a_condition(things, look):
+    # held 6 cm above the table, leaning
+    X_WO = _at(0.0, 0.0, 0.06, 1.0)
+    X_WO[:3, :3] = X_WO[:3, :3] @ Rotation.from_euler("x", 0.5).as_matrix()
+    seen = look(things["wedge"].mesh, X_WO)
+    found = estimate_pose(things["wedge"], **_arguments(seen, "image and table"))
+    _assert_near(things["wedge"], found.X_CO, seen.X_CO, metres=2e-3, degrees=1.0)
+
+
+# ---- honesty
+
+
+@pytest.mark.parametrize("how", ["points", "image and table"])
+@pytest.mark.parametrize(
+    ("asked", "shown"), [("ball", "box"), ("ball", "corner"), ("can", "wedge"), ("can", "ball"),
+                         ("rimmed", "corner"), ("box", "ball"), ("wedge", "ball"), ("corner", "ball")],
+)  # fmt: skip
+def test_another_object_gives_low_confidence(things, look, standing, asked, shown, how):
+    seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
+    found = estimate_pose(things[asked], **_arguments(seen, how))
+    assert found.confidence < 0.5 and not found.converged
+    assert found.score < 0.85
+    own = estimate_pose(things[shown], **_arguments(seen, how))
+    assert own.score > found.score + 0.1 and own.explained > found.explained and own.converged
+
+
+@pytest.mark.xfail(strict=False, reason="a wrong object of much the same size and with flat faces passes for it")
+@pytest.mark.parametrize(
+    ("asked", "shown", "how"),
+    [("can", "box", "image and table"), ("corner", "box", "image and table"), ("corner", "wedge", "image and table"),
+     ("wedge", "box", "points"), ("box", "wedge", "points"), ("wedge", "corner", "points"), ("box", "can", "points"),
+     ("box", "corner", "points")],
+)  # fmt: skip
+def test_another_object_of_the_same_size_gives_low_confidence(things, look, standing, asked, shown, how):
+    seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
+    assert estimate_pose(things[asked], **_arguments(seen, how)).confidence < 0.5
+
+
+def _piece_of_table(look, rows, columns):
+    seen = look(box_mesh([0.001] * 3), _at(0.0, 0.0, -0.1))
+    mask = np.zeros(seen.mask.shape, bool)
+    mask[rows, columns] = True
+    return {"depth": seen.depth, "intrinsics": seen.intrinsics, "mask": mask}, seen.table
+
+
+@pytest.mark.parametrize("name", ["ball", "can", "wedge", "corner", "rimmed"])
+def test_a_piece_of_table_is_no_object(things, look, name):
+    patch, seen_table = _piece_of_table(look, slice(70, 110), slice(80, 130))
+    for table in (None, seen_table):
+        found = estimate_pose(things[name], table=table, **patch)
+        assert found.confidence < 0.5 and not found.converged
+        assert np.isfinite(found.X_CO).all()
+
+
+@pytest.mark.xfail(strict=False, reason="a box sunk into the table explains a part of it, to a tenth of a millimetre")
+@pytest.mark.parametrize("name", ["box", "can", "wedge", "bevelled"])
+def test_a_piece_of_table_is_no_object_that_is_sunk_into_it(things, look, name):
+    for rows, columns in ((slice(70, 110), slice(80, 130)), (slice(80, 100), slice(90, 120))):
+        patch, table = _piece_of_table(look, rows, columns)
+        assert estimate_pose(things[name], table=table, **patch).confidence < 0.5
+
+
+def test_noise_is_no_object(things):
+    cloud = np.random.default_rng(0).uniform(-0.06, 0.06, (800, 3)) + np.array([0.0, 0.0, 0.7])
+    for obj in things.values():
+        found = estimate_pose(obj, cloud)
+        assert found.confidence < 0.3 and found.score < 0.5
+
+
+def _assert_consistent(found):
+    np.testing.assert_array_equal(found.alternatives_X_CO[0], found.X_CO)
+    assert found.alternatives_X_CO.shape == (len(found.alternatives_probability), 4, 4)
+    assert found.alternatives_probability.sum() == pytest.approx(1.0)
+    assert (found.alternatives_probability > 0.0).all()
+    np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9)
+    assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    assert found.converged == (found.confidence >= 0.5)
+    R = found.alternatives_X_CO[:, :3, :3]
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-9)
+
+
+def test_a_result_is_consistent(things, look, standing):
+    for name, shown in (("box", "box"), ("wedge", "ball"), ("can", "can"), ("bevelled", "box"), ("rimmed", "can")):
+        seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
+        for how in ("points", "image and table"):
+            found = estimate_pose(things[name], **_arguments(seen, how))
+            _assert_consistent(found)
+            # alternatives differ by more than the object's symmetry
+            for k, X in enumerate(found.alternatives_X_CO):
+                for other in found.alternatives_X_CO[:k]:
+                    assert pose_errors(things[name], X, other).mssd_m > 5e-3
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["can", "box", pytest.param("ball", marks=pytest.mark.xfail(
+        strict=True, reason="`PoseModel.same` of a ball turns about one axis only: its turns count as other poses"
+    ))],
+)  # fmt: skip
+def test_what_symmetry_makes_equal_is_one_pose(things, look, standing, name):
+    seen = look(things[name].mesh, standing(things[name], yaw_rad=1.0))
+    assert len(estimate_pose(things[name], **seen.image).alternatives_X_CO) == 1
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the four finalists are four turns of one pose by its symmetry: `distinct` should drop them by `model.same`",
+)
+def test_where_the_view_cannot_decide_the_truth_is_among_the_alternatives(look, cube):
+    # a window shows a part of one face of 5 x 6 cm, or of the other of 5 x 5 cm: both fit to the last digit
+    bars = [(box_mesh([0.002, 0.1, 0.1]), _at(0.08, s * 0.115, 0.03)) for s in (-1, 1)]
+    bars += [(box_mesh([0.002, 0.3, 0.1]), _at(0.08, 0.0, 0.03 + s * 0.115)) for s in (-1, 1)]
+    for degrees in (0.0, 90.0):
+        X_WO = _at(0.0, 0.0, 0.03)
+        X_WO[:3, :3] = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+        seen = look(cube.mesh, X_WO, X_WC=FRONT, table=False, others=bars)
+        assert 100 < seen.mask.sum() < 400
+        found = estimate_pose(cube, **seen.image)
+        _assert_consistent(found)
+        assert len(found.alternatives_X_CO) > 1
+        turned = [pose_errors(cube, X, seen.X_CO) for X in found.alternatives_X_CO]
+        assert min(np.rad2deg(e.rotation_rad) for e in turned) < 5.0
+        assert found.confidence < 0.9
+
+
+def test_a_hidden_bevel_leaves_several_poses(things, look):
+    # of a box with one cut edge the opposite edge is seen, close by: the cut may be any of the three that are not
+    obj = things["bevelled"]
+    seen = look(obj.mesh, _at(0.0, 0.0, 0.06, FACING + np.pi), table=False)
+    found = estimate_pose(obj, **seen.image)
+    _assert_consistent(found)
+    assert len(found.alternatives_X_CO) > 1
+    best = min(pose_errors(obj, X, seen.X_CO).mssd_m for X in found.alternatives_X_CO)
+    assert best < 4e-3
+
+
+def test_the_covariance_is_long_where_the_view_leaves_the_object_free(look, bar):
+    seen = look(bar.mesh, _at(0.0, 0.0, 0.02, 1.0))
+    along = (seen.points_C - seen.X_CO[:3, 3]) @ seen.X_CO[:3, 0]
+    strip, whole = (estimate_pose(bar, p) for p in (seen.points_C[np.abs(along) < 0.03], seen.points_C))
+    for found in (strip, whole):
+        _assert_consistent(found)
+    of_strip, of_whole = (
+        np.sqrt(np.diag(f.X_CO[:3, :3].T @ f.covariance[:3, :3] @ f.X_CO[:3, :3])) for f in (strip, whole)
+    )
+    assert of_strip[0] > 4.0 * of_strip[1:].max()
+    assert of_strip[0] > 3.0 * of_whole[0]
+    # a turn about its long axis is known the less the thinner the bar
+    turns = np.sqrt(np.diag(whole.X_CO[:3, :3].T @ whole.covariance[3:, 3:] @ whole.X_CO[:3, :3]))
+    assert turns[0] > 2.0 * turns[1:].max()
+
+
+@pytest.mark.xfail(
+    strict=True, reason="the hint of unmeasured space outweighs exact points: it tilts the bar to make it look shorter"
+)
+def test_the_middle_of_a_bar_fixes_all_but_its_place_along(look, bar):
+    seen = look(bar.mesh, _at(0.0, 0.0, 0.02, 1.0))
+    along = (seen.points_C - seen.X_CO[:3, 3]) @ seen.X_CO[:3, 0]
+    found = estimate_pose(bar, seen.points_C[np.abs(along) < 0.03])
+    errors = pose_errors(bar, found.X_CO, seen.X_CO)
+    assert np.rad2deg(errors.rotation_rad) < 1.0 and found.residual_m < 2e-4
+
+
+def test_the_covariance_grows_with_the_noise(things, look, standing):
+    obj = things["wedge"]
+    clean, noisy = (
+        estimate_pose(obj, **look(obj.mesh, standing(obj, yaw_rad=1.0), noise=noise).image)
+        for noise in (None, DepthNoise(axial_m=0.03))
+    )
+    assert np.trace(noisy.covariance[:3, :3]) > 3.0 * np.trace(clean.covariance[:3, :3])
+
+
+# ---- bad input
+
+
+def test_a_flat_cloud_leaves_an_object_free_along_it(things, cube):
+    u, v = np.meshgrid(np.linspace(-0.02, 0.02, 30), np.linspace(-0.02, 0.02, 30))
+    flat = np.column_stack([u.ravel(), v.ravel(), np.full(u.size, 0.6)])
+    for obj in (*things.values(), cube):
+        found = estimate_pose(obj, flat)
+        _assert_consistent(found)
+        if obj.name != "ball":  # all others have a face as large
+            assert found.explained > 0.9
+            x, y, z = np.sqrt(np.diag(found.covariance)[:3])
+            assert min(x, y) > 2.0 * z
+    assert estimate_pose(things["ball"], flat).confidence < 0.5
+
+
+def test_bad_input_is_named(things, look, standing):
+    box = things["box"]
+    seen = look(box.mesh, standing(box))
+    points, k = seen.points_C, seen.intrinsics
+    cases = [
+        ({}, "nothing to look at: give `points_C`"),
+        ({"mask": seen.mask}, "nothing to look at"),
+        ({"points_C": points, "mask": seen.mask}, "nothing to look at"),
+        ({"points_C": points, "depth": seen.depth}, "both `depth` and `intrinsics`"),
+        ({"points_C": points, "intrinsics": k}, "both `depth` and `intrinsics`"),
+        ({"depth": seen.depth, "intrinsics": k}, "Give `mask` or `points_C`"),
+        ({"depth": seen.depth, "intrinsics": k, "mask": seen.mask[1:]}, "mask has shape"),
+        ({"depth": seen.depth[:, 1:], "intrinsics": k, "mask": seen.mask}, "depth has shape"),
+        ({"depth": seen.depth, "intrinsics": k, "mask": 0 * seen.mask}, "mask is empty"),
+        ({"depth": np.full_like(seen.depth, np.nan), "intrinsics": k, "mask": seen.mask}, "0 finite points"),
+        ({"depth": 1e3 * seen.depth, "intrinsics": k, "mask": seen.mask}, "metres"),
+        ({"points_C": 1e3 * points}, "millimetres"),
+        ({"points_C": points[:19]}, "19 finite points"),
+        ({"points_C": np.zeros((0, 3))}, "0 finite points"),
+        ({"points_C": np.full((100, 3), np.nan)}, "0 finite points"),
+        ({"points_C": points * [1.0, -1.0, -1.0]}, "z forward"),  # upside down
+        ({"points_C": np.tile(points[:1], (100, 1))}, "one spot"),
+    ]
+    for arguments, message in cases:
+        with pytest.raises(InputError, match=message):
+            estimate_pose(box, **arguments)
+    for bad in (points[:, :2], points.ravel()):
+        with pytest.raises(ShapeError, match="points_C has shape"):
+            estimate_pose(box, bad)
+
+
+def test_a_search_that_is_smaller_is_still_right_on_easy_views(things, look, standing):
+    obj = things["box"]
+    seen = look(obj.mesh, standing(obj, yaw_rad=1.0))
+    found = estimate_pose(obj, config=PoseConfig(slid=60, coarse_kept=12, middle_kept=6, finalists=2), **seen.image)
+    _assert_near(obj, found.X_CO, seen.X_CO, metres=5e-4, degrees=0.5)

@@ -283,3 +283,13 @@ def test_polishing_never_raises_the_cost_and_ends_at_the_truth(wedge, view, scen
         gap = np.linalg.inv(view.X_CO) @ pose
         assert np.linalg.norm(gap[:3, :3] @ wedge.centre + gap[:3, 3] - wedge.centre) < 1e-3
         assert np.rad2deg(Rotation.from_matrix(gap[:3, :3]).magnitude()) < 1.0
+
+
+def test_polishing_from_anywhere_never_raises_the_cost(wedge, view, scene):
+    terms = Terms(0.004, 1.0, 0.1, 0.05, 0.006, 120, 64)
+    starts = np.stack([_near(view.X_CO, s, metres=0.05, radians=1.5, centre=scene.centroid) for s in range(40)])
+    for steps in (1, 3):
+        poses, cost = starts.copy(), np.empty(len(starts))
+        polish(wedge, scene, NONE, terms, poses, steps, cost)
+        before = np.array([_equations(wedge, scene, NONE, terms, X, scene.centroid)[0] for X in starts])
+        assert (cost <= before).all() and (cost < 0.99 * before).sum() > 20

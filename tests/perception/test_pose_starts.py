@@ -44,6 +44,8 @@ def test_one_start_is_near_the_truth(things, look, standing, name, how):
         model, scene._replace(table=np.append(seen.table.normal, seen.table.offset_m)), yaw_steps=36
     )
     assert _nearest(obj, with_table, seen.X_CO) < 0.12
+    assert len(with_table) > len(starts)
+    np.testing.assert_allclose(with_table[: len(starts) // 2, :3, :3], starts[: len(starts) // 2, :3, :3])
 
 
 def _true_start(model, scene, X_CO):
