@@ -32,7 +32,7 @@ ROOTS = (1000, 2000)
 COUNTS = {"easy": 4, "occluded": 12, "hard": 12}
 BACKGROUNDS = 60
 WRONG_OBJECTS = 2
-WRONG_WEIGHT, BACKGROUND_WEIGHT = 0.3, 1.5
+WRONG_WEIGHT, BACKGROUND_WEIGHT = 0.1, 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +72,13 @@ def _estimate(scene: PoseScene, obj: ObjectModel, table, kind: str, root: int) -
         scene.depth, scene.intrinsics, scene.mask, reach_m=model.diameter, table=table, seed=scene.seed
     )
     found = search(model, seen, NO_CONTACTS, config)
-    covariance, residual = pose_covariance(model, seen, found.X_CO[0], config)
+    covariance, _ = pose_covariance(model, seen, found.X_CO[0], config)
     _, shares = merged_shares(model, found)
     right = False
     if kind == "own":
         errors = pose_errors(obj, found.X_CO[0], scene.X_CO_true)
         right = errors.add_s_m < 0.01 and errors.mssd_m < 0.1 * diameter_m(obj)
-    features = confidence_features(model, seen, found, float(shares[0]), covariance, residual)
+    features = confidence_features(model, seen, found, float(shares[0]), covariance)
     return Sample(root, kind, features, right), float(found.cost[0])
 
 

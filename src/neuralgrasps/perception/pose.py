@@ -123,7 +123,7 @@ def result_of(model: PoseModel, scene: Observation, found: Candidates, config: P
     """The result that candidates amount to."""
     kept, shares = merged_shares(model, found)
     covariance, residual = pose_covariance(model, scene, found.X_CO[0], config)
-    confidence = confidence_of(confidence_features(model, scene, found, float(shares[0]), covariance, residual))
+    confidence = confidence_of(confidence_features(model, scene, found, float(shares[0]), covariance))
     likely = shares >= _LEAST_SHARE
     likely[0] = True
     return PoseResult(

@@ -9,17 +9,18 @@ from neuralgrasps.perception.observation import Observation
 from neuralgrasps.perception.pose_kernels import normal_equations
 from neuralgrasps.perception.pose_model import PoseModel
 from neuralgrasps.perception.pose_search import Candidates, PoseConfig
-from neuralgrasps.perception.pose_visibility import EXPLAINED, FREE
+from neuralgrasps.perception.pose_visibility import COST, EXPLAINED, FREE
 
 EFFECTIVE_POINTS = 40.0  # depth errors of neighbouring pixels are alike: all points count as so many independent ones
 _NOISE_FLOOR_M = 1.0e-3
 SHARPNESS = 40.0  # of the shares: a cost lower by 1 / SHARPNESS makes a pose e times as likely
-# Logistic regressions on `confidence_features`; benchmarks/pose_confidence.py fits them.
-WEIGHTS = np.array([3.446, -0.41, -1.463, -0.208, -0.289, -11.427])
-TABLE_WEIGHTS = np.array([-6.768, -0.354, -1.393, -0.198, -0.369, -10.007, -0.733, -4.716])
+# Logistic regressions on `confidence_features`; benchmarks/pose_confidence.py fits them on simulated views.
+WEIGHTS = np.array([-11.127, -0.896, -1.976, -1.529, -0.255, -0.761])
+TABLE_WEIGHTS = np.array([8.647, -1.246, -1.972, -1.599, -0.297, -0.733, -0.855, -6.306])
 _FEWEST = 0.003  # shares below this count as so much
-# misfits below these are a real camera's, scan's and table's: they say little
-_RESIDUAL_M, _HEIGHT_M, _TILT_RAD = 0.002, 0.005, float(np.deg2rad(5.0))
+# Misfits below these are a real camera's, scan's and table's. So small floors as simulation would allow made nearly all
+# poses in real images doubtful, and so did the distance of the points.
+_HEIGHT_M, _TILT_RAD, _UNEXPLAINED = 0.015, float(np.deg2rad(15.0)), 0.02
 
 
 def shares_of(found: Candidates) -> np.ndarray:
@@ -55,13 +56,13 @@ def surface_distances(model: PoseModel, points_C: np.ndarray, X_CO: np.ndarray) 
 
 
 def confidence_features(
-    model: PoseModel, scene: Observation, found: Candidates, share: float, covariance: np.ndarray, residual_m: float
+    model: PoseModel, scene: Observation, found: Candidates, share: float, covariance: np.ndarray
 ) -> np.ndarray:
-    """(6,) or with a table (8,): one, and logarithms of what speaks against the first candidate.
+    """(6,) or with a table (8,): one, and what speaks against the first candidate.
 
-    The share of the mask that it does not explain; free space that it fills; the share of the other candidates; its
-    standard deviation over a tenth of the diameter; the median distance of the points; with a table also its height
-    over it and its tilt from the nearest stable pose.
+    Its cost, and as logarithms: the share of the mask that it does not explain; free space that it fills; the share of
+    the other candidates; its standard deviation over a tenth of the diameter; with a table also its height over it and
+    its tilt from the nearest stable pose.
 
     Args:
         share: of all poses that are the first one up to symmetry.
@@ -71,15 +72,15 @@ def confidence_features(
     turn = float(np.linalg.eigvalsh(covariance[3:, 3:]).max()) * model.radius**2
     features = [
         1.0,
-        np.log(max(1.0 - evidence[EXPLAINED], _FEWEST)),
+        evidence[COST],
+        np.log(max(1.0 - evidence[EXPLAINED], _FEWEST) + _UNEXPLAINED),
         np.log(evidence[FREE] + 0.01),
         np.log(max(1.0 - share, _FEWEST)),
         np.log(np.sqrt(slide + turn) / (0.1 * model.diameter)),
-        np.log(1e3 * (residual_m + _RESIDUAL_M)),
     ]
     if scene.table.any():
         height, tilt = table_misfit(model, scene.table, found.X_CO[0])
-        features += [np.log(1e3 * (height + _HEIGHT_M)), np.log(tilt + _TILT_RAD)]
+        features += [np.log(1e3 * (height + _HEIGHT_M)), np.log(np.rad2deg(tilt + _TILT_RAD))]
     return np.array(features)
 
 
