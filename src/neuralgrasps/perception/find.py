@@ -66,7 +66,7 @@ def find_objects(
         table = find_table(frame, seed=seed).plane
     open_masks = [np.asarray(m, bool) for m in (find_clusters(frame, table) if masks is None else masks)]
     points_C = pixel_rays(frame.intrinsics) * frame.depth[..., None]
-    found = []
+    found: list[FoundObject] = []
     while open_masks:
         mask = open_masks.pop(0) & (frame.depth > 0)
         if mask.sum() < min_pixels:
