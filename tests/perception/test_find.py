@@ -79,8 +79,12 @@ def test_two_of_a_kind_are_two(things, library, frame_of):
     assert (found[0].mask & masks[0]).any() != (found[1].mask & masks[0]).any()
 
 
-@pytest.mark.xfail(strict=False, reason="a cluster of two things is like no object, so that nothing of it is found")
-@pytest.mark.parametrize("name", ["touching", "nearly touching"])
+@pytest.mark.parametrize(
+    "name",
+    ["touching", pytest.param("nearly touching", marks=pytest.mark.xfail(
+        strict=False, reason="a mask of two things is like no object: what of it to leave out is guessed"
+    ))],
+)  # fmt: skip
 def test_two_objects_in_one_mask_are_two(things, library, frame_of, name):
     placed = SCENES[name]
     frame, masks, poses, table = frame_of(*placed)
@@ -88,7 +92,6 @@ def test_two_objects_in_one_mask_are_two(things, library, frame_of, name):
     _assert_found(things, find_objects(library, frame, table=table, masks=[whole]), placed, masks, poses)
 
 
-@pytest.mark.xfail(strict=False, reason="a cluster of two things is like no object, so that nothing of it is found")
 def test_two_boxes_flush_with_each_other_are_two(library, frame_of):
     frame, _, _, _ = frame_of(("box", _at(0.0, -0.046, 0.06)), ("box", _at(0.0, 0.046, 0.06)))
     assert [f.name for f in find_objects(library, frame)] == ["box", "box"]

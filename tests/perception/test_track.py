@@ -81,7 +81,6 @@ def test_an_object_taken_off_its_table_is_lost(things, look, standing, name):
         track_pose(obj, empty.depth, empty.intrinsics, seen.X_CO, table=empty.table)
 
 
-@pytest.mark.xfail(strict=False, reason="without a table or mask a flat side settles in the table and explains it")
 @pytest.mark.parametrize("name", NAMES)
 def test_an_object_taken_off_a_table_nobody_knows_of_is_lost(things, look, standing, name):
     obj = things[name]
