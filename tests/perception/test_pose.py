@@ -400,7 +400,7 @@ def _assert_consistent(found):
     assert found.alternatives_X_CO.shape == (len(found.alternatives_probability), 4, 4)
     assert found.alternatives_probability.sum() == pytest.approx(1.0)
     assert (found.alternatives_probability > 0.0).all()
-    np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, found.covariance.T, atol=1e-15)
     assert np.linalg.eigvalsh(found.covariance).min() > 0.0
     assert found.converged == (found.confidence >= 0.5)
     R = found.alternatives_X_CO[:, :3, :3]
@@ -430,25 +430,34 @@ def test_what_symmetry_makes_equal_is_one_pose(things, look, standing, name):
     assert len(estimate_pose(things[name], **seen.image).alternatives_X_CO) == 1
 
 
+def _through_a_slit(cube, look, degrees):
+    """One side of the cube, 5 cm wide; whether it is 5 or 6 cm high two screens hide."""
+    X_WO = _at(0.0, 0.0, 0.03)
+    X_WO[:3, :3] = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    screens = [(box_mesh([0.002, 0.3, 0.1]), _at(0.08, 0.0, 0.03 + s * 0.115)) for s in (-1, 1)]
+    wall = (box_mesh([0.01, 2.0, 2.0]), _at(-0.3, 0.0, 0.0))
+    seen = look(cube.mesh, X_WO, X_WC=FRONT, table=False, others=[wall, *screens])
+    assert 300 < seen.mask.sum() < 500
+    return seen, estimate_pose(cube, **seen.image)
+
+
 @pytest.mark.xfail(
     strict=True,
-    reason="the four finalists are four turns of one pose by its symmetry: `distinct` should drop them by `model.same`",
+    reason="the four finalists are four turns of one pose by its symmetry: `polished` should drop them by `model.same`",
 )
 def test_where_the_view_cannot_decide_the_truth_is_among_the_alternatives(look, cube):
-    # a window shows a part of one face of 5 x 6 cm, or of the other of 5 x 5 cm: both fit to the last digit
-    bars = [(box_mesh([0.002, 0.1, 0.1]), _at(0.08, s * 0.115, 0.03)) for s in (-1, 1)]
-    bars += [(box_mesh([0.002, 0.3, 0.1]), _at(0.08, 0.0, 0.03 + s * 0.115)) for s in (-1, 1)]
     for degrees in (0.0, 90.0):
-        X_WO = _at(0.0, 0.0, 0.03)
-        X_WO[:3, :3] = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
-        seen = look(cube.mesh, X_WO, X_WC=FRONT, table=False, others=bars)
-        assert 100 < seen.mask.sum() < 400
-        found = estimate_pose(cube, **seen.image)
+        seen, found = _through_a_slit(cube, look, degrees)
         _assert_consistent(found)
         assert len(found.alternatives_X_CO) > 1
-        turned = [pose_errors(cube, X, seen.X_CO) for X in found.alternatives_X_CO]
-        assert min(np.rad2deg(e.rotation_rad) for e in turned) < 5.0
-        assert found.confidence < 0.9
+        errors = [pose_errors(cube, X, seen.X_CO) for X in found.alternatives_X_CO]
+        assert min(e.rotation_rad for e in errors) < np.deg2rad(5.0) < max(e.rotation_rad for e in errors)
+
+
+@pytest.mark.xfail(strict=True, reason="poses that explain the view as well hardly count in the confidence")
+def test_where_the_view_cannot_decide_confidence_is_low(look, cube):
+    for degrees in (0.0, 90.0):
+        assert _through_a_slit(cube, look, degrees)[1].confidence < 0.7
 
 
 def test_a_hidden_bevel_leaves_several_poses(things, look):
