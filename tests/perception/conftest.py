@@ -42,8 +42,13 @@ class Look:
 
     @property
     def image(self) -> dict[str, object]:
-        """Arguments of `estimate_pose`."""
+        """The view as arguments of `estimate_pose`."""
         return {"depth": self.depth, "intrinsics": self.intrinsics, "mask": self.mask}
+
+    def asked(self, how: str) -> dict[str, object]:
+        """Arguments of `estimate_pose`: "points" or "image", "... and table"."""
+        table = {"table": self.table} if "table" in how else {}
+        return table | ({"points_C": self.points_C} if "points" in how else self.image)
 
 
 def at(x: float, y: float, z: float, yaw_rad: float = 0.0) -> np.ndarray:

@@ -14,23 +14,17 @@ from neuralgrasps.sim.camera import DepthNoise
 LIBRARY = ("box", "ball", "can", "wedge")
 
 
-def _asked(seen, how):
-    if how == "points":
-        return {"points_C": seen.points_C}
-    return {"depth": seen.depth, "intrinsics": seen.intrinsics, "mask": seen.mask, "table": seen.table}
-
-
 @pytest.fixture(scope="module")
 def library(things):
     return [things[name] for name in LIBRARY]
 
 
 @pytest.mark.parametrize("shown", LIBRARY)
-@pytest.mark.parametrize("how", ["points", "image", "noisy image"])
+@pytest.mark.parametrize("how", ["points", "image and table", "noisy image and table"])
 def test_the_shown_one_of_four_is_named(things, library, look, standing, shown, how):
-    noise = DepthNoise() if how == "noisy image" else None
+    noise = DepthNoise() if how == "noisy image and table" else None
     seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0), noise=noise)
-    found = identify_object(library, **_asked(seen, how))
+    found = identify_object(library, **seen.asked(how))
     assert found.name == shown
     assert max(found.probability, key=found.probability.get) == shown
     assert sum(found.probability.values()) + found.none_probability == pytest.approx(1.0)
@@ -42,7 +36,7 @@ def test_the_shown_one_of_four_is_named(things, library, look, standing, shown, 
 
 def test_the_order_of_the_library_does_not_matter(things, library, look, standing):
     seen = look(things["wedge"].mesh, standing(things["wedge"], yaw_rad=1.0))
-    first, second = (identify_object(objects, **_asked(seen, "image")) for objects in (library, library[::-1]))
+    first, second = (identify_object(objects, **seen.asked("image and table")) for objects in (library, library[::-1]))
     assert first.name == second.name == "wedge"
     for name in LIBRARY:
         assert first.probability[name] == pytest.approx(second.probability[name], abs=1e-9)
@@ -53,18 +47,18 @@ def test_a_thing_that_none_of_them_is_has_no_name(things, look, standing):
     ball = [things[name] for name in ("box", "wedge", "corner")]
     for objects, shown in ((ball, "ball"), ([things["ball"]], "box"), ([things["ball"], things["can"]], "corner")):
         seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
-        found = identify_object(objects, **_asked(seen, "image"))
+        found = identify_object(objects, **seen.asked("image and table"))
         assert found.name is None
         assert found.none_probability > 0.5
         assert set(found.poses) == {obj.name for obj in objects}
 
 
 @pytest.mark.parametrize("shown", ["corner", "ball"])
-@pytest.mark.parametrize("how", ["points", "image"])
+@pytest.mark.parametrize("how", ["points", "image and table"])
 def test_a_thing_alike_in_size_has_no_name(things, look, standing, shown, how):
     objects = [things[name] for name in LIBRARY if name != shown]
     seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
-    assert identify_object(objects, **_asked(seen, how)).name is None
+    assert identify_object(objects, **seen.asked(how)).name is None
 
 
 def test_a_piece_of_table_has_no_name(library, look):

@@ -1,0 +1,223 @@
+"""Confidence, alternatives and covariance of a pose: honest where the view cannot decide, or shows something else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from neuralgrasps.evaluate.pose import pose_errors
+from neuralgrasps.geometry.camera import look_at
+from neuralgrasps.geometry.primitives import box_mesh
+from neuralgrasps.perception.pose import estimate_pose
+from neuralgrasps.sim.camera import DepthNoise
+
+FRONT = look_at(np.array([0.6, 0.0, 0.03]), np.array([0.0, 0.0, 0.03]))
+FACING = 0.345  # yaw at which the camera of `look` sees an upright box's face head on
+
+
+def _at(x, y, z, yaw_rad=0.0):
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_euler("z", yaw_rad).as_matrix()
+    X[:3, 3] = [x, y, z]
+    return X
+
+
+@pytest.fixture(scope="module")
+def cube(make_object):
+    """Nearly a cube: two sides of 5 cm, one of 6 cm."""
+    return make_object("cube", box_mesh([0.025, 0.025, 0.030]), symmetry=True)
+
+
+@pytest.fixture(scope="module")
+def bar(make_object):
+    """20 cm long, 4 cm thick."""
+    return make_object("bar", box_mesh([0.10, 0.02, 0.02]), symmetry=True)
+
+
+@pytest.mark.parametrize("how", ["points", "image and table"])
+@pytest.mark.parametrize(
+    ("asked", "shown"), [("ball", "box"), ("ball", "corner"), ("can", "wedge"), ("can", "ball"),
+                         ("rimmed", "corner"), ("box", "ball"), ("wedge", "ball"), ("corner", "ball")],
+)  # fmt: skip
+def test_another_object_gives_low_confidence(things, look, standing, asked, shown, how):
+    seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
+    found = estimate_pose(things[asked], **seen.asked(how))
+    assert found.confidence < 0.5 and not found.converged
+    assert found.score < 0.85
+    own = estimate_pose(things[shown], **seen.asked(how))
+    assert own.score > found.score + 0.1 and own.explained > found.explained and own.converged
+
+
+ALIKE = pytest.mark.xfail(strict=False, reason="with points alone, a thing of the same size and faces passes for it")
+
+
+@pytest.mark.parametrize(
+    ("asked", "shown", "how"),
+    [("can", "box", "image and table"), ("corner", "box", "image and table"), ("corner", "wedge", "image and table"),
+     ("wedge", "corner", "points"), ("box", "can", "points"), ("box", "corner", "points"),
+     pytest.param("wedge", "box", "points", marks=ALIKE), pytest.param("box", "wedge", "points", marks=ALIKE)],
+)  # fmt: skip
+def test_another_object_of_the_same_size_gives_low_confidence(things, look, standing, asked, shown, how):
+    seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
+    assert estimate_pose(things[asked], **seen.asked(how)).confidence < 0.5
+
+
+def _piece_of_table(look, rows, columns):
+    seen = look(box_mesh([0.001] * 3), _at(0.0, 0.0, -0.1))
+    mask = np.zeros(seen.mask.shape, bool)
+    mask[rows, columns] = True
+    return {"depth": seen.depth, "intrinsics": seen.intrinsics, "mask": mask}, seen.table
+
+
+@pytest.mark.parametrize("name", ["ball", "can", "wedge", "corner", "rimmed"])
+def test_a_piece_of_table_is_no_object(things, look, name):
+    patch, seen_table = _piece_of_table(look, slice(70, 110), slice(80, 130))
+    for table in (None, seen_table):
+        found = estimate_pose(things[name], table=table, **patch)
+        assert found.confidence < 0.5 and not found.converged
+        assert np.isfinite(found.X_CO).all()
+
+
+SUNK = pytest.mark.xfail(strict=False, reason="a box sunk into the table explains it to a tenth of a millimetre")
+
+
+@pytest.mark.parametrize(
+    "name", ["can", "wedge", pytest.param("box", marks=SUNK), pytest.param("bevelled", marks=SUNK)]
+)
+def test_a_piece_of_table_is_no_object_that_is_sunk_into_it(things, look, name):
+    for rows, columns in ((slice(70, 110), slice(80, 130)), (slice(80, 100), slice(90, 120))):
+        patch, table = _piece_of_table(look, rows, columns)
+        assert estimate_pose(things[name], table=table, **patch).confidence < 0.5
+
+
+def test_noise_is_no_object(things):
+    cloud = np.random.default_rng(0).uniform(-0.06, 0.06, (800, 3)) + np.array([0.0, 0.0, 0.7])
+    for obj in things.values():
+        found = estimate_pose(obj, cloud)
+        assert found.confidence < 0.3 and found.score < 0.5
+
+
+def _assert_consistent(found):
+    np.testing.assert_array_equal(found.alternatives_X_CO[0], found.X_CO)
+    assert found.alternatives_X_CO.shape == (len(found.alternatives_probability), 4, 4)
+    assert found.alternatives_probability.sum() == pytest.approx(1.0)
+    assert (found.alternatives_probability > 0.0).all()
+    np.testing.assert_allclose(found.covariance, found.covariance.T, atol=1e-15)
+    assert np.linalg.eigvalsh(found.covariance).min() > 0.0
+    assert found.converged == (found.confidence >= 0.5)
+    R = found.alternatives_X_CO[:, :3, :3]
+    np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-9)
+
+
+def test_a_result_is_consistent(things, look, standing):
+    for name, shown in (("box", "box"), ("wedge", "ball"), ("can", "can"), ("bevelled", "box"), ("rimmed", "can")):
+        seen = look(things[shown].mesh, standing(things[shown], yaw_rad=1.0))
+        for how in ("points", "image and table"):
+            found = estimate_pose(things[name], **seen.asked(how))
+            _assert_consistent(found)
+            # alternatives differ by more than the object's symmetry
+            for k, X in enumerate(found.alternatives_X_CO):
+                for other in found.alternatives_X_CO[:k]:
+                    assert pose_errors(things[name], X, other).mssd_m > 5e-3
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["can", "box", pytest.param("ball", marks=pytest.mark.xfail(
+        strict=True, reason="`PoseModel.same` of a ball turns about one axis only: its turns count as other poses"
+    ))],
+)  # fmt: skip
+def test_what_symmetry_makes_equal_is_one_pose(things, look, standing, name):
+    seen = look(things[name].mesh, standing(things[name], yaw_rad=1.0))
+    assert len(estimate_pose(things[name], **seen.image).alternatives_X_CO) == 1
+
+
+def _through_a_slit(cube, look, degrees):
+    """One side of the cube, 5 cm wide; whether it is 5 or 6 cm high two screens hide."""
+    X_WO = _at(0.0, 0.0, 0.03)
+    X_WO[:3, :3] = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
+    screens = [(box_mesh([0.002, 0.3, 0.1]), _at(0.08, 0.0, 0.03 + s * 0.115)) for s in (-1, 1)]
+    wall = (box_mesh([0.01, 2.0, 2.0]), _at(-0.3, 0.0, 0.0))
+    seen = look(cube.mesh, X_WO, X_WC=FRONT, table=False, others=[wall, *screens])
+    assert 300 < seen.mask.sum() < 500
+    return seen, estimate_pose(cube, **seen.image)
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the four finalists are four turns of one pose by its symmetry: `polished` should drop them by `model.same`",
+)
+def test_where_the_view_cannot_decide_the_truth_is_among_the_alternatives(look, cube):
+    for degrees in (0.0, 90.0):
+        seen, found = _through_a_slit(cube, look, degrees)
+        _assert_consistent(found)
+        assert len(found.alternatives_X_CO) > 1
+        errors = [pose_errors(cube, X, seen.X_CO) for X in found.alternatives_X_CO]
+        assert min(e.rotation_rad for e in errors) < np.deg2rad(5.0) < max(e.rotation_rad for e in errors)
+
+
+@pytest.mark.xfail(strict=True, reason="poses that explain the view as well hardly count in the confidence")
+def test_where_the_view_cannot_decide_confidence_is_low(look, cube):
+    for degrees in (0.0, 90.0):
+        assert _through_a_slit(cube, look, degrees)[1].confidence < 0.7
+
+
+def test_a_hidden_bevel_leaves_several_poses(things, look):
+    # of a box with one cut edge the opposite edge is seen, close by: the cut may be any of the three that are not
+    obj = things["bevelled"]
+    seen = look(obj.mesh, _at(0.0, 0.0, 0.06, FACING + np.pi), table=False)
+    found = estimate_pose(obj, **seen.image)
+    _assert_consistent(found)
+    assert len(found.alternatives_X_CO) > 1
+    best = min(pose_errors(obj, X, seen.X_CO).mssd_m for X in found.alternatives_X_CO)
+    assert best < 4e-3
+
+
+def test_the_covariance_is_long_where_the_view_leaves_the_object_free(look, bar):
+    seen = look(bar.mesh, _at(0.0, 0.0, 0.02, 1.0))
+    along = (seen.points_C - seen.X_CO[:3, 3]) @ seen.X_CO[:3, 0]
+    strip, whole = (estimate_pose(bar, p) for p in (seen.points_C[np.abs(along) < 0.03], seen.points_C))
+    for found in (strip, whole):
+        _assert_consistent(found)
+    of_strip, of_whole = (
+        np.sqrt(np.diag(f.X_CO[:3, :3].T @ f.covariance[:3, :3] @ f.X_CO[:3, :3])) for f in (strip, whole)
+    )
+    assert of_strip[0] > 4.0 * of_strip[1:].max()
+    assert of_strip[0] > 3.0 * of_whole[0]
+    # a turn about its long axis is known the less the thinner the bar
+    turns = np.sqrt(np.diag(whole.X_CO[:3, :3].T @ whole.covariance[3:, 3:] @ whole.X_CO[:3, :3]))
+    assert turns[0] > 2.0 * turns[1:].max()
+
+
+@pytest.mark.xfail(
+    strict=True, reason="the hint of unmeasured space outweighs exact points: it tilts the bar to make it look shorter"
+)
+def test_the_middle_of_a_bar_fixes_all_but_its_place_along(look, bar):
+    seen = look(bar.mesh, _at(0.0, 0.0, 0.02, 1.0))
+    along = (seen.points_C - seen.X_CO[:3, 3]) @ seen.X_CO[:3, 0]
+    found = estimate_pose(bar, seen.points_C[np.abs(along) < 0.03])
+    errors = pose_errors(bar, found.X_CO, seen.X_CO)
+    assert np.rad2deg(errors.rotation_rad) < 1.0 and found.residual_m < 2e-4
+
+
+def test_the_covariance_grows_with_the_noise(things, look, standing):
+    obj = things["wedge"]
+    clean, noisy = (
+        estimate_pose(obj, **look(obj.mesh, standing(obj, yaw_rad=1.0), noise=noise).image)
+        for noise in (None, DepthNoise(axial_m=0.03))
+    )
+    assert np.trace(noisy.covariance[:3, :3]) > 3.0 * np.trace(clean.covariance[:3, :3])
+
+
+def test_a_flat_cloud_leaves_an_object_free_along_it(things, cube):
+    u, v = np.meshgrid(np.linspace(-0.02, 0.02, 30), np.linspace(-0.02, 0.02, 30))
+    flat = np.column_stack([u.ravel(), v.ravel(), np.full(u.size, 0.6)])
+    for obj in (*things.values(), cube):
+        found = estimate_pose(obj, flat)
+        _assert_consistent(found)
+        if obj.name != "ball":  # all others have a face as large
+            assert found.explained > 0.9
+            x, y, z = np.sqrt(np.diag(found.covariance)[:3])
+            assert min(x, y) > 2.0 * z
+    assert estimate_pose(things["ball"], flat).confidence < 0.5
