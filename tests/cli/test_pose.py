@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,8 @@ import pytest
 from PIL import Image
 
 import neuralgrasps
-from neuralgrasps.cli.pose_show import others_text, sigmas
+from neuralgrasps.cli.pose_find import Finding, Placed
+from neuralgrasps.cli.pose_show import frame_record, others_text, sigmas
 from neuralgrasps.evaluate.pose import pose_errors
 from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at, project
 from neuralgrasps.geometry.mesh import load_mesh
@@ -98,6 +99,11 @@ def test_one_object_from_a_mask_and_from_clouds(ng: Call, room: Room, tmp_path: 
         assert found.result["frames"][0]["objects"][0]["X_CO_m"] == found.result["X_CO_m"]
         for word in ("mustard_bottle: found", "% sure", "position", "± ", "quaternion", "explained", "X_CO ="):
             assert word in found.out
+        words = " ".join(found.out.split())
+        assert "mm (spread of the fit and an assumed sensor error)" in words
+        assert ("a cloud cannot rule out larger objects" in words) == ("--cloud" in source)
+        assert ("depth scale: 10000 units per metre" in words) == ("--depth" in source)
+        assert "only one object is known" not in words
     with Image.open(tmp_path / "overlay.png") as image:
         assert image.size == (640, 480)
 
@@ -106,6 +112,16 @@ def test_points_of_another_object_are_not_found(ng: Call, room: Room) -> None:
     found = ng("pose", "gelatin_box", "--cloud", room.folder / "a.mustard_bottle.npy", "--cloud-scale", 1.3)
     assert found.code == 1 and not found.result["converged"] and found.result["confidence"] < 0.5
     assert "NOT found" in found.out and found.result["found"] == 0
+
+
+def test_poses_that_were_not_accepted_are_recorded_apart(room: Room) -> None:
+    obj = room.objects["gelatin_box"]
+    points = np.load(room.folder / "a.gelatin_box.npy")
+    sure = replace(neuralgrasps.estimate_pose(obj, points), confidence=0.8)
+    placed = tuple(Placed(obj=obj, pose=replace(sure, confidence=c), points=len(points)) for c in (0.8, 0.49))
+    record = frame_record(Finding(name="a", placed=placed))
+    assert [r["confidence"] for r in record["objects"]] == [0.8]
+    assert [(r["confidence"], r["converged"]) for r in record["rejected"]] == [(0.49, False)]
 
 
 def test_a_mask_and_several_objects_say_which_one_it_is(ng: Call, room: Room) -> None:
@@ -125,10 +141,12 @@ def test_everything_on_the_table_is_found_without_a_mask(ng: Call, room: Room, t
     found = ng("pose", *NAMES, "cracker_box", *source, "--out", tmp_path / "new" / "overlay.png")
     assert found.code == 0, found.err
     (frame,) = found.result["frames"]
-    assert sorted(o["object"] for o in frame["objects"] if o["converged"]) == sorted(NAMES)
+    assert sorted(o["object"] for o in frame["objects"]) == sorted(NAMES)
     for placed in frame["objects"]:
-        if placed["converged"]:
-            check(room, "a", placed)
+        check(room, "a", placed)
+    assert frame["unexplained_clusters"] == 0 and "no accepted object explains" not in found.out
+    assert frame["depth_units_per_metre"] == 10000 and 0.4 < frame["table"]["distance_m"] < 0.9
+    assert f"table: {frame['table']['distance_m']:.2f} m away" in found.out and "is --depth-scale" not in found.out
     assert frame["not_found"] == ["cracker_box"] and "not found: cracker_box" in found.out
     normal_W = np.loadtxt(room.folder / "a-pose.txt")[:3, :3] @ frame["table"]["normal_C"]
     assert normal_W[2] > 0.999 and frame["table"]["rms_mm"] < 1
@@ -141,6 +159,24 @@ def test_everything_on_the_table_is_found_without_a_mask(ng: Call, room: Room, t
     rank = [o["object"] for o in frame["objects"]].index("gelatin_box")
     colour = [int(model_colour(rank)[k : k + 2], 16) for k in (1, 3, 5)]
     assert (np.abs(around - colour).max(axis=1) < 40).sum() > 100
+
+
+def test_a_lone_object_may_be_a_similar_one_and_leaves_clusters(ng: Call, room: Room, tmp_path: Path) -> None:
+    found = ng("pose", "gelatin_box", "--depth", room.folder / "a-depth.png", "--out", tmp_path)
+    assert found.code == 0, found.err
+    (frame,) = found.result["frames"]
+    assert [o["object"] for o in frame["objects"]] == ["gelatin_box"] and frame["unexplained_clusters"] == 1
+    page = (tmp_path / "index.html").read_text()
+    for text in (" ".join(found.out.split()), page):
+        assert "nly one object is known: a similar one may be taken for it." in text
+        assert "1 cluster on the table that no accepted object explains." in text
+
+
+def test_a_wrong_depth_scale_is_asked_for(ng: Call, room: Room) -> None:
+    found = ng("pose", "gelatin_box", "--depth", room.folder / "a-depth.png", "--depth-scale", 1000)
+    assert found.code == 1, found.out
+    words = " ".join(found.out.split())
+    assert "m away" in words and "is --depth-scale right?" in words and "depth scale: 1000 units" in words
 
 
 def test_a_folder_of_frames_is_read_frame_by_frame(ng: Call, room: Room, tmp_path: Path) -> None:

@@ -51,6 +51,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table_depth: np.ndarr
     Image.fromarray(np.full((60, 80), 255, np.uint8)).save("small_mask.png")
     Image.fromarray(np.full((120, 160), 255, np.uint8)).save("all.png")
     save_depth("clutter.png", rng.uniform(0.5, 2.0, (120, 160)))
+    save_depth("far.png", rng.uniform(3.5, 12.0, (120, 160)))
     np.savetxt("pose.txt", X_WC)
     np.savetxt("upside_down.txt", np.diag([1.0, -1.0, -1.0, 1.0]) @ X_WC)
     Path("broken.json").write_text("{fx: 1")
@@ -69,6 +70,7 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, table_depth: np.ndarr
     np.save("none.npy", np.zeros((0, 3)))
     np.save("nan_cloud.npy", np.full((500, 3), np.nan))
     np.save("mm_cloud.npy", bottle * 1000)
+    np.save("cm_cloud.npy", bottle * 100)
     np.save("behind.npy", bottle * [1, -1, -1])
     np.save("line.npy", np.linspace([0, -0.08, 0.7], [0, 0.08, 0.7], 400))
     np.save("spot.npy", bottle * 0.01 + [0, 0, 0.7])
@@ -125,11 +127,12 @@ DEPTH = ("--depth", "table.png", "--fx", 150)
         (on("--cloud", "words.xyz"), "words.xyz"),
         (on("--cloud", "objects.npy"), "objects.npy"),
         (on("--cloud", "nan_cloud.npy"), "0 finite points (500 others are NaN or infinite)"),
-        (on("--cloud", "mm_cloud.npy"), "the right unit (--depth-scale, --cloud-scale)"),
+        (on("--cloud", "mm_cloud.npy"), "looks like millimetres: --cloud-scale 1000"),
         (on("--cloud", "behind.npy"), "behind the camera"),
         (on("--cloud", "line.npy"), "on a line"),
-        (on("--cloud", "spot.npy"), "the points span"),
-        (on("--cloud", "wide.npy"), "give only the object's points"),
+        (on("--cloud", "spot.npy"), "is the unit right? --cloud-scale is 1"),
+        (on("--cloud", "wide.npy"), "a cloud must hold one object; to find objects in a scene give --depth"),
+        (on("--cloud", "cm_cloud.npy"), "looks like centimetres: --cloud-scale 100"),
         (on("--cloud", "good.npy", "--cloud-scale", 0), "--cloud-scale is 0"),
         # depth images
         (on("--depth", "missing.png", "--fx", 150), "does not exist"),
@@ -148,6 +151,7 @@ DEPTH = ("--depth", "table.png", "--fx", 150)
         (on(*DEPTH, "--mask", "no_mask.png"), "marks no pixel"),
         (on(*DEPTH, "--mask", "all.png"), "give only the object's points (--mask)"),
         (on("--depth", "clutter.png", "--fx", 150), "table"),
+        (on("--depth", "far.png", "--fx", 150), "is --depth-scale right?"),
         (on(*DEPTH, "--camera-pose", "upside_down.txt"), "upside down"),
         (on(*DEPTH, "--camera-pose", "file"), "pose 'file'"),
         (on(*DEPTH, "--camera-pose", "pose.txt", "--table-height", 3), "below the table"),

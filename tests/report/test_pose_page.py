@@ -59,10 +59,19 @@ def test_every_frame_has_its_two_pictures_and_its_rows():
         "tomato soup can", "97 %", "0.123 −0.050 0.900", "0.500 −0.500 0.500 0.500", "1.4", "91 %", "0.8", "–",
         "12 % turned 180°, moved 3 mm",
     ]  # fmt: skip
-    assert rows[1][0] == "<b>box</b>" and rows[1][-1] == "none"  # names are text, never markup
+    assert rows[1] == ["not accepted"]
+    assert rows[2][0] == "<b>box</b>" and rows[2][-1] == "none"  # names are text, never markup
     assert "Not found: drill." in text_of(cards[1]) and "41 % of the measured pixels" in text_of(cards[1])
     assert "Not found: drill, tomato soup can." in text_of(cards[2])
     assert not [e for e in cards[2].iter() if e.tag.endswith("table")]
+
+
+def test_what_was_not_accepted_is_grey_and_not_named_as_found():
+    card = next(e for e in page(*FRAMES).iter() if e.tag.endswith("figure"))
+    words = [e.get(k, "") for e in card.iter() for k in ("alt", "aria-label", "data-caption", "title")]
+    assert any("found tomato soup can" in w for w in words) and not any("box" in w for w in words)
+    styles = [e.get("style", "") for e in card.iter() if e.tag.endswith("tr")][1:]
+    assert [("opacity" in s) for s in styles] == [False, True, True]
 
 
 def test_confidence_is_shown_as_good_or_bad():
@@ -74,6 +83,7 @@ def test_key_figures_count_what_was_found_and_its_medians():
     keys = text_of(with_class(page(*FRAMES), "keys")[0])
     assert "2 objects found" in keys.replace("2objects", "2 objects") and "2 of them at least 90 % sure" in keys
     assert "1.7" in keys and "0.30" in keys  # medians of 1.44 and 2.0 mm, of 0.2 and 0.4 s
+    assert "median distance of the measured points to the model (not accuracy)" in keys
     nothing = text_of(with_class(page(FRAMES[2]), "keys")[0])
     assert nothing.startswith("0") and "off the model" not in nothing
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from neuralgrasps.cli.outputs import make_parent
 from neuralgrasps.cli.pose_find import Finding
+from neuralgrasps.cli.pose_hints import LONE_NOTE
 from neuralgrasps.cli.pose_show import frame_figure
 from neuralgrasps.cli.terminal import Terminal, counted, write_json
 
@@ -73,6 +74,8 @@ class PoseFiles:
 
         left_out = self._frames - len(self._figures)
         notes = [f"{counted(left_out, 'frame')} of {self._frames} not shown here; see poses.json."] if left_out else []
+        if len(self._names) == 1:
+            notes.append(LONE_NOTE[:1].upper() + LONE_NOTE[1:])
         report = pose_report(self._figures, wanted=self._names, notes=notes, **about_this_run(terminal.command, seed))
         write_report(report, page, max_bytes=_PAGE_BYTES)
 

@@ -6,17 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from neuralgrasps.cli.pose_hints import CLOUD_NOTE, FLAT_NOTE, scale_doubt, with_scale_doubt
 from neuralgrasps.cli.pose_input import PoseSource, Seen, check_extent, is_flat, known_table
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from neuralgrasps.geometry.plane import Plane
     from neuralgrasps.objects.object_model import ObjectModel
     from neuralgrasps.perception.frame import Frame
     from neuralgrasps.perception.pose import PoseResult
     from neuralgrasps.perception.table import TableFit
+
+_LEAST_PIXELS = 400  # of a cluster that is looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +56,9 @@ class Finding:
         frame: what was looked at; None for points alone.
         table: the plane that was found; None when it was given or not needed.
         identity: which object it is, name -> probability, "none" for none of them; of a mask or cloud alone.
-        problem: why nothing could be looked for; note: what else to know.
+        problem: why nothing could be looked for; notes: what else to know.
+        units_per_metre: of the depth image, as it was read.
+        unexplained: clusters on the table that no accepted object explains; None when none were looked for.
         wall_s: time taken, without what was compiled first.
     """
 
@@ -64,12 +69,19 @@ class Finding:
     table: TableFit | None = None
     identity: Mapping[str, float] = field(default_factory=dict)
     problem: str = ""
-    note: str = ""
+    notes: tuple[str, ...] = ()
+    units_per_metre: float | None = None
+    unexplained: int | None = None
     wall_s: float = 0.0
 
     @property
     def found(self) -> tuple[Placed, ...]:
         return tuple(p for p in self.placed if p.is_found)
+
+    @property
+    def rejected(self) -> tuple[Placed, ...]:
+        """The best poses of objects that were not accepted."""
+        return tuple(p for p in self.placed if not p.is_found)
 
 
 def find_in(
@@ -85,19 +97,20 @@ def find_in(
     if not seen.is_one_object:
         return _in_scene(models, seen, given, seed, before)
     assert seen.points_C is not None
-    check_extent(list(models), seen.points_C)
+    check_extent(list(models), seen.points_C, given)
     view: dict[str, Any] = {"points_C": seen.points_C} if seen.frame is None else _view(seen, given, seed)
     placed, identity = _one(models, view, len(seen.points_C), seed)
-    flat = (
-        "the points lie on one plane: many poses fit, and so does a piece of a table." if is_flat(seen.points_C) else ""
-    )
+    notes = [FLAT_NOTE] if is_flat(seen.points_C) else []
+    if seen.frame is None:
+        notes.append(CLOUD_NOTE)
     return Finding(
         name=seen.name,
         placed=placed,
         missing=() if identity else tuple(p.obj.name for p in placed if not p.is_found),
         frame=seen.frame,
         identity=identity,
-        note=flat,
+        notes=tuple(notes),
+        units_per_metre=seen.units_per_metre,
     )
 
 
@@ -142,27 +155,38 @@ def _in_scene(
         fit = _find_table(seen.frame, given, seed)
         table = fit.plane
     placed = _tracked(seen.frame, table, before) if before is not None and before.found else None
+    unexplained = None
     if placed is None:
-        placed = _searched(models, seen.frame, table, seed)
+        placed, unexplained = _searched(models, seen.frame, table, seed)
     placed = sorted(placed, key=lambda p: -p.confidence)
     found = {p.obj.name for p in placed if p.is_found}
+    doubt = "" if found or fit is None else scale_doubt(seen.frame, fit)
     return Finding(
         name=seen.name,
         placed=tuple(placed),
         missing=tuple(obj.name for obj in models if obj.name not in found),
         frame=seen.frame,
         table=fit,
+        notes=(doubt,) if doubt else (),
+        units_per_metre=seen.units_per_metre,
+        unexplained=unexplained,
     )
 
 
-def _searched(models: Sequence[ObjectModel], frame: Frame, table: Plane, seed: int) -> list[Placed]:
+def _searched(models: Sequence[ObjectModel], frame: Frame, table: Plane, seed: int) -> tuple[list[Placed], int]:
+    """The poses found, and how many clusters no accepted one of them explains."""
+    from neuralgrasps.perception.clusters import find_clusters
     from neuralgrasps.perception.find import find_objects
 
     by_name = {obj.name: obj for obj in models}
-    return [
-        Placed(obj=by_name[f.name], pose=f.pose, points=_measured(frame, f.mask), identity=f.probability)
-        for f in find_objects(models, frame, table=table, seed=seed)
-    ]
+    clusters = [mask for mask in find_clusters(frame, table) if _measured(frame, mask) >= _LEAST_PIXELS]
+    placed, explained = [], np.zeros(frame.depth.shape, bool)
+    for f in find_objects(models, frame, table=table, masks=clusters, min_pixels=_LEAST_PIXELS, seed=seed):
+        one = Placed(obj=by_name[f.name], pose=f.pose, points=_measured(frame, f.mask), identity=f.probability)
+        placed.append(one)
+        if one.is_found:
+            explained |= f.mask
+    return placed, sum(not (mask & explained).any() for mask in clusters)
 
 
 def _tracked(frame: Frame, table: Plane, before: Finding) -> list[Placed] | None:
@@ -182,7 +206,10 @@ def _tracked(frame: Frame, table: Plane, before: Finding) -> list[Placed] | None
 def _find_table(frame: Frame, given: PoseSource, seed: int) -> TableFit:
     from neuralgrasps.perception.table import find_table
 
-    return find_table(frame, max_depth_m=given.max_depth, seed=seed)
+    try:
+        return find_table(frame, max_depth_m=given.max_depth, seed=seed)
+    except InputError as error:
+        raise with_scale_doubt(error, frame) from None
 
 
 def _measured(frame: Frame, mask: np.ndarray) -> int:

@@ -27,6 +27,7 @@ _LEAST_POINTS = 20
 _LEAST_SPREAD, _LARGEST_SPREAD = 0.08, 1.6
 _FLAT_SHARE = 0.015  # points this much thinner than wide lie on a plane
 _LINE_SHARE = 0.03
+_SCENE_M = 10.0  # a cloud of more than this is in another unit, of less a scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,10 +36,11 @@ class PoseSource:
 
     Attributes:
         depth: depth image, 16-bit PNG or TIFF, or NPY.
-        colour: picture of the same size, to draw over.
-        mask: image of the same size, not 0 where the object is; without it every cluster on the table is tried.
+        colour: picture of the same size, only to draw over: poses come from depth alone.
+        mask: image of the same size, not 0 where the object is; without it every cluster on the table is tried. Helps
+            where a cluster is missed.
         frames: folder of NAME-depth and NAME-color files, or of depth/ and rgb/, or a BOP scene.
-        cloud: points on the object in the camera frame: .ply, .npy or x y z text.
+        cloud: points on one object in the camera frame: .ply, .npy or x y z text.
         fx: focal length, pixels.
         fy: focal length, pixels; default fx.
         cx: principal point, pixels; default the middle.
@@ -79,6 +81,7 @@ class Seen:
     frame: Frame | None = None
     mask: np.ndarray | None = None
     points_C: np.ndarray | None = None
+    units_per_metre: float | None = None  # of the depth image; None when the data set says it
 
     @property
     def is_one_object(self) -> bool:
@@ -160,9 +163,11 @@ def known_table(given: PoseSource, frame: Frame) -> Plane | None:
     return horizontal_plane(given.table_height, frame.X_WC)
 
 
-def check_extent(models: list[ObjectModel], points_C: np.ndarray) -> None:
+def check_extent(models: list[ObjectModel], points_C: np.ndarray, given: PoseSource) -> None:
     """Refuse points that cannot all lie on one of the objects, before searching in vain.
 
+    Args:
+        given: says whether the points are a cloud or pixels under a mask, hence what may be wrong.
     Raises:
         InputError: the points span too much or too little, or lie on a line.
     """
@@ -174,8 +179,12 @@ def check_extent(models: list[ObjectModel], points_C: np.ndarray) -> None:
     if not (_LEAST_SPREAD * min(sizes) < spread < _LARGEST_SPREAD * max(sizes)):
         largest = models[int(np.argmax(sizes))]
         raise InputError(
-            f"the points span {spread:.3g} m but '{largest.name}' measures {max(sizes):.3g} m across; give only the "
-            "object's points (--mask), or the right unit (--depth-scale, --cloud-scale)."
+            f"the points span {spread:.3g} m but '{largest.name}' measures {max(sizes):.3g} m across; "
+            + (
+                "give only the object's points (--mask), or the right unit (--depth-scale)."
+                if given.cloud is None
+                else _cloud_advice(spread, sizes, given.cloud_scale or 1.0)
+            )
         )
     widths = np.sqrt(np.linalg.eigvalsh(np.cov(points_C.T)))
     if widths[1] < _LINE_SHARE * widths[2]:
@@ -183,6 +192,16 @@ def check_extent(models: list[ObjectModel], points_C: np.ndarray) -> None:
             f"the points lie on a line, {1e3 * widths[1]:.2g} mm wide and {1e3 * widths[2]:.3g} mm long (standard "
             "deviations); expected points all over the visible surface."
         )
+
+
+def _cloud_advice(spread: float, sizes: list[float], scale: float) -> str:
+    """What is wrong with a cloud that spans so many metres."""
+    if spread < _LEAST_SPREAD * min(sizes):
+        return f"is the unit right? --cloud-scale is {scale:g} units per metre."
+    if spread <= _SCENE_M:
+        return "a cloud must hold one object; to find objects in a scene give --depth and the camera."
+    unit, times = ("millimetres", 1000) if spread / 1000 > _LEAST_SPREAD * min(sizes) else ("centimetres", 100)
+    return f"the cloud looks like {unit}: --cloud-scale {times * scale:g}."
 
 
 def is_flat(points_C: np.ndarray) -> bool:
@@ -232,13 +251,13 @@ def _read_depth(given: PoseSource) -> Seen:
         name=given.depth.stem,
     )
     if given.mask is None:
-        return Seen(name=frame.name, frame=frame)
+        return Seen(name=frame.name, frame=frame, units_per_metre=_units(given.depth, frame))
     mask = read_mask(given.mask, frame.depth.shape)
     points = back_project(frame.depth, frame.intrinsics, mask=mask)
     if len(points) < _LEAST_POINTS:
         marked = "marks no pixel" if not mask.any() else f"marks {len(points)} measured pixels of {mask.sum()}"
         raise InputError(f"mask '{given.mask}' {marked}; expected at least {_LEAST_POINTS} on the object.")
-    return Seen(name=frame.name, frame=frame, mask=mask, points_C=points)
+    return Seen(name=frame.name, frame=frame, mask=mask, points_C=points, units_per_metre=_units(given.depth, frame))
 
 
 def _folder_sources(given: PoseSource) -> list[Pending]:
@@ -273,7 +292,14 @@ def _read_files(files: FrameFiles, given: PoseSource) -> Seen:
         X_WC=files.pose,
         name=files.name,
     )
-    return Seen(name=files.name, frame=frame)
+    return Seen(name=files.name, frame=frame, units_per_metre=_units(files.depth, frame))
+
+
+def _units(file: Path, frame: Frame) -> float:
+    """Units per metre that a depth image was read with, whether given, of the camera's file or the default."""
+    from neuralgrasps.perception.frame_files import read_depth
+
+    return float(f"{read_depth(file, 1.0).max() / frame.depth.max():.6g}")
 
 
 def _camera(given: PoseSource) -> CameraNumbers | Path | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from neuralgrasps.cli.pose_hints import table_distance_m
 from neuralgrasps.cli.terminal import Terminal, counted
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 _LEAST_PROBABILITY = 0.01  # less likely poses are in the JSON object only, as are those as good as the same:
 _SAME_DEG, _SAME_MM = 5.0, 5.0
+_SPREAD = "(spread of the fit and an assumed sensor error)"
+_OF_WHAT = "(of the chance that one of these is right)"
 _BALL = 100  # so many rotations about no single axis are those of a ball, which has no orientation
 
 
@@ -49,13 +52,19 @@ def frame_record(finding: Finding) -> dict[str, Any]:
     """What was found in one frame, as JSON."""
     record: dict[str, Any] = {
         "frame": finding.name,
-        "objects": [pose_record(p) for p in finding.placed],
+        "objects": [pose_record(p) for p in finding.found],
+        "rejected": [pose_record(p) for p in finding.rejected],
         "not_found": list(finding.missing),
         "wall_s": finding.wall_s,
     }
-    if finding.table is not None:
+    if finding.units_per_metre is not None:
+        record["depth_units_per_metre"] = finding.units_per_metre
+    if finding.unexplained is not None:
+        record["unexplained_clusters"] = finding.unexplained
+    if finding.table is not None and finding.frame is not None:
         fit = finding.table
         record["table"] = {
+            "distance_m": table_distance_m(finding.frame, fit),
             "normal_C": fit.plane.normal,
             "offset_m": fit.plane.offset_m,
             "inlier_share": fit.inlier_share,
@@ -139,17 +148,36 @@ def show_finding(terminal: Terminal, finding: Finding, record: dict[str, Any], *
         terminal.say(title)
     if finding.problem:
         terminal.say(f"  nothing could be looked for: {finding.problem}")
-    for placed in record["objects"]:
+    for placed in (*record["objects"], *record["rejected"]):
         _show_pose(terminal, placed, alone)
     likely = [(name, p) for name, p in sorted(finding.identity.items(), key=lambda item: -item[1]) if p >= 0.01]
     if likely:
         terminal.say("which one: " + ", ".join(f"{name} {_percent(p)}" for name, p in likely))
     if finding.missing and not alone:
         terminal.say("not found: " + ", ".join(finding.missing))
-    if finding.note:
-        terminal.say(f"note: {finding.note}")
+    if finding.unexplained:
+        terminal.say(unexplained_text(finding.unexplained))
+    if view := _view_text(record):
+        terminal.say(view)
+    for note in finding.notes:
+        terminal.say(f"note: {note}")
     if not finding.problem:
         terminal.say(f"time: {finding.wall_s:.2f} s")
+
+
+def unexplained_text(count: int) -> str:
+    """How many clusters remain, as a sentence."""
+    return f"{counted(count, 'cluster')} on the table that no accepted object explains."
+
+
+def _view_text(record: dict[str, Any]) -> str:
+    """Table and scale of a frame, "table: 0.92 m away, 1.4 mm rough; depth scale: 1000 units per metre"."""
+    parts = []
+    if "table" in record:
+        parts.append(f"table: {record['table']['distance_m']:.2f} m away, {record['table']['rms_mm']:.1f} mm rough")
+    if "depth_units_per_metre" in record:
+        parts.append(f"depth scale: {record['depth_units_per_metre']:g} units per metre")
+    return "; ".join(parts)
 
 
 def _show_pose(terminal: Terminal, record: dict[str, Any], alone: bool) -> None:
@@ -161,16 +189,17 @@ def _show_pose(terminal: Terminal, record: dict[str, Any], alone: bool) -> None:
     )
     position, quaternion = (", ".join(f"{v:+.4f}" for v in record[k]) for k in ("position_m", "quaternion_wxyz"))
     turn = record["rotation_sigma_deg"]
+    others = others_text(record["alternatives"])
     terminal.facts(
         [
-            ("position", f"{position} m, ± {record['position_sigma_mm']:.1f} mm"),
+            ("position", f"{position} m, ± {record['position_sigma_mm']:.1f} mm {_SPREAD}"),
             ("quaternion", f"{quaternion} (w x y z)" + ("" if turn is None else f", ± {turn:.1f}°")),
             (
                 "fit",
                 f"{counted(record['points'], 'point')}, median {record['residual_median_mm']:.2f} mm off the model, "
                 f"{_percent(record['explained_share'])} explained",
             ),
-            ("other poses", others_text(record["alternatives"]) or "none that fits"),
+            ("other poses", f"{others} {_OF_WHAT}" if others else "none that fits"),
         ]
     )
     if alone:
@@ -204,20 +233,23 @@ def frame_figure(finding: Finding, record: dict[str, Any], overlay: np.ndarray, 
             rotation_sigma_deg=r["rotation_sigma_deg"],
             others=others_text(r["alternatives"]),
         )
-        for r in record["objects"]
+        for r in (*record["objects"], *record["rejected"])
     ]
     fit = finding.table
     table = (
-        f"The table takes {fit.inlier_share:.0%} of the measured pixels, {1e3 * fit.rms_m:.1f} mm rms."
+        f"The table takes {fit.inlier_share:.0%} of the measured pixels, {1e3 * fit.rms_m:.1f} mm rms, "
+        f"{table_distance_m(finding.frame, fit):.2f} m away."
         if fit is not None
         else ""
     )
+    rest = unexplained_text(finding.unexplained) if finding.unexplained else ""
+    notes = " ".join(note[:1].upper() + note[1:] for note in finding.notes)
     return FrameFigure(
         name=finding.name,
         overlay=overlay,
         observed=render_relief(finding.frame.depth, finding.frame.intrinsics),
         found=tuple(rows),
         missing=finding.missing,
-        note=" ".join(text for text in (finding.problem, finding.note, table.replace("%", " %")) if text),
+        note=" ".join(text for text in (finding.problem, notes, rest, table.replace("%", " %")) if text),
         wall_s=finding.wall_s,
     )

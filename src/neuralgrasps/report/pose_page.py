@@ -10,6 +10,8 @@ from neuralgrasps.report.content import DemoReport, FoundObject, FrameFigure, Ke
 from neuralgrasps.report.sections import PictureEncoder, facts_html, number_text, pretty_name
 
 CONFIDENT, DOUBTFUL = 0.9, 0.5
+_GREY = "opacity:.6"
+_RESIDUAL_NOTE = "median distance of the measured points to the model (not accuracy)"
 
 _COLUMNS = (
     "object",
@@ -29,17 +31,19 @@ _FRAMES_TEXT = (
     "lines that do not meet the object's edges say more than any number below them."
 )
 NOTES = (
-    "Confidence is an estimate of the probability that it is this object and that its pose is right: the model's "
+    "Confidence is an estimate of the probability that it is this object in this pose; an object is accepted from 50 % "
+    "on. A pose is right with the model's "
     "surface within 1 cm of the object's on average, and no point of it off by more than a tenth of the object's "
     "diameter, up to the object's own symmetries. It was calibrated on simulated depth images. A real camera, a "
     "reflecting object, or one that resembles none of the models can break it: there, take it as a ranking, and look "
     "at the picture.",
     "Off the model is the median distance of the object's measured points to the model; explained is the share of them "
     "within tolerance. Both say how well the seen side fits. They cannot say that the unseen side is right.",
-    "± is one standard deviation in the least certain direction, from the fit of the seen points alone. What is common "
-    "to all points is not in it: the bias of a depth camera (3 to 8 mm at 0.7 m is usual), a model of another size.",
-    "Other poses fit the view too, with the probability given; they differ from the best by the angle and distance "
-    "given. Colour was not used: a box and its flipped self look the same to a depth camera.",
+    "± is one standard deviation in the least certain direction: the spread of the fit and an assumed sensor error. A "
+    "larger bias of the depth camera (3 to 8 mm at 0.7 m is usual) or a model of another size is not in it.",
+    "Other poses fit the view too, with the share given of the chance that one of these is right; they differ from the "
+    "best by the angle and distance given. Colour was not used: a box and its flipped self look the "
+    "same to a depth camera.",
     "Positions are of the origin of the model's file, in the camera frame: x right, y down, z forward.",
 )
 
@@ -54,7 +58,7 @@ def pose_report(
         frames: what was found in each; command: as typed; wanted: names of the objects looked for.
         notes: further ones, after those on the meaning of the numbers.
     """
-    found = [o for f in frames for o in f.found if o.confidence >= DOUBTFUL]
+    found = [o for f in frames for o in _accepted(f.found)]
     names = ", ".join(pretty_name(name) for name in wanted)
     where = "one frame" if len(frames) == 1 else f"{len(frames)} frames"
     return DemoReport(
@@ -85,7 +89,7 @@ def _key_figures(frames: Sequence[FrameFigure], found: Sequence[FoundObject]) ->
     residuals = [o.residual_mm for o in found if o.residual_mm is not None]
     if residuals:
         value = number_text(statistics.median(residuals), ".1f", "mm")
-        figures.append(KeyFigure(value=value, label="off the model", note="median over the objects"))
+        figures.append(KeyFigure(value=value, label="off the model", note=_RESIDUAL_NOTE))
     times = [f.wall_s for f in frames if f.wall_s is not None]
     if times:
         value = number_text(statistics.median(times), ".2f", "s")
@@ -97,7 +101,7 @@ def frames_section(frames: Sequence[FrameFigure], pictures: PictureEncoder) -> s
     """A card per frame: overlay beside depth, then a table of what was found."""
     cards = []
     for f in frames:
-        names = ", ".join(pretty_name(o.object) for o in f.found) or "nothing"
+        names = ", ".join(pretty_name(o.object) for o in _accepted(f.found)) or "nothing"
         buttons = pictures.button(f.overlay, f"Frame {f.name}: found {names}")
         buttons += pictures.button(f.observed, f"Frame {f.name}: measured depth")
         time = facts_html([("time", number_text(f.wall_s, ".2f", "s"))] if f.wall_s is not None else [])
@@ -121,11 +125,18 @@ def _table(found: Sequence[FoundObject]) -> str:
     if not found:
         return ""
     head = "".join(f'<th scope="col"{_num(i)}>{escape(c)}</th>' for i, c in enumerate(_COLUMNS))
-    body = "".join(f"<tr>{_row(o)}</tr>" for o in found)
+    body = "".join(f"<tr>{_row(o)}</tr>" for o in _accepted(found))
+    rejected = "".join(f'<tr style="{_GREY}">{_row(o)}</tr>' for o in found if o.confidence < DOUBTFUL)
+    if rejected:
+        body += f'<tr style="{_GREY}"><td colspan="{len(_COLUMNS)}">not accepted</td></tr>{rejected}'
     return (
         f'<div class="scroll tight" tabindex="0"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{body}</tbody></table></div>"
     )
+
+
+def _accepted(found: Sequence[FoundObject]) -> list[FoundObject]:
+    return [o for o in found if o.confidence >= DOUBTFUL]
 
 
 def _num(column: int) -> str:
