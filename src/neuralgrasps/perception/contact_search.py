@@ -9,7 +9,7 @@ from neuralgrasps.perception.observation import Observation
 from neuralgrasps.perception.pose_confidence import surface_distances
 from neuralgrasps.perception.pose_kernels import CONTACT_KERNEL_M
 from neuralgrasps.perception.pose_model import PoseModel
-from neuralgrasps.perception.pose_search import NO_CONTACTS, Candidates, PoseConfig, polished, search
+from neuralgrasps.perception.pose_search import NO_CONTACTS, Candidates, PoseConfig, distinct, polished, search
 
 
 def with_contact(
@@ -30,7 +30,7 @@ def with_contact(
     share = config.contact_share * sure
     # what the contacts cannot change stays in the order of the view
     both = np.where(cost <= cost.min() + share, cost, cost + 1.0) + share * _missed(model, points, X, contact.sigma_m)
-    order = np.argsort(both, kind="stable")
+    order = distinct(model, X, both, len(X), model.same)
     return Candidates(X[order], both[order], np.concatenate([found.evidence, guided.evidence])[order])
 
 

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
+from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import pixel_rays
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.clusters import find_clusters
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.perception.identify import identify_object
+from neuralgrasps.perception.identify import checked_names, identify_object
 from neuralgrasps.perception.pose import PoseConfig, PoseResult
 from neuralgrasps.perception.table import find_table
 
@@ -62,6 +63,12 @@ def find_objects(
     Raises:
         InputError: no table can be found, or as `identify_object`.
     """
+    if not isinstance(frame, Frame):
+        raise InputError(f"the frame is {type(frame).__name__}; expected a Frame: read_frame(...) or Frame(depth=...).")
+    checked_names(objects)
+    for mask in masks or ():
+        if np.shape(mask) != frame.depth.shape:
+            raise InputError(f"a mask has shape {np.shape(mask)}; the frame's images are {frame.depth.shape}.")
     if table is None:
         table = find_table(frame, seed=seed).plane
     open_masks = [np.asarray(m, bool) for m in (find_clusters(frame, table) if masks is None else masks)]

@@ -16,6 +16,7 @@ from neuralgrasps.perception.pose_model import pose_model
 from neuralgrasps.perception.pose_search import NO_CONTACTS, search
 
 _SUREST = 1.0e-6  # confidences are not taken closer to 0 or 1
+_NAMED = 0.5  # least probability of an object to be named
 _SEARCHED_WIDELY = 3  # so many objects, where none explains the view well
 
 
@@ -24,7 +25,7 @@ class Identification:
     """Which object a view shows.
 
     Attributes:
-        name: the most likely object; None when none of the library is more likely.
+        name: the object, when one is at least as likely as all others and none together; else None.
         probability: of every object of the library, that it is there in the pose found; with `none_probability`, that
             nothing of the library is, they sum to 1.
         none_probability: that it is none of them.
@@ -55,9 +56,7 @@ def identify_object(
     Raises:
         InputError: an empty library or a name that occurs twice; see `estimate_pose`.
     """
-    names = [obj.name for obj in objects]
-    if not names or len(set(names)) < len(names):
-        raise InputError(f"the library holds {names or 'no objects'}; expected at least one, each name once.")
+    names = checked_names(objects)
     config = config or PoseConfig()
     poses = {}
     scene = observe(
@@ -68,18 +67,36 @@ def identify_object(
     for obj in objects:
         model = pose_model(obj)
         found = search(model, scene, NO_CONTACTS, narrow)
-        poses[obj.name], cost[obj.name] = result_of(model, scene, found, config, seed), float(found.cost[0])
+        poses[obj.name], cost[obj.name] = (
+            result_of(model, scene, found, config, seed, present=False),
+            float(found.cost[0]),
+        )
     for obj in sorted(objects, key=lambda one: cost[one.name])[:_SEARCHED_WIDELY]:
         if config.wide > 1 and cost[obj.name] > config.wide_cost and min(cost.values()) > config.wide_cost:
             model = pose_model(obj)
-            poses[obj.name] = result_of(model, scene, search(model, scene, NO_CONTACTS, config), config, seed)
+            wide = search(model, scene, NO_CONTACTS, config)
+            poses[obj.name] = result_of(model, scene, wide, config, seed, present=False)
     confidence = np.clip([poses[name].confidence for name in names], _SUREST, 1.0 - _SUREST)
     odds = confidence / (1.0 - confidence)  # of each object against none of the library
     none = 1.0 / (1.0 + odds.sum())
     best = int(odds.argmax())
     return Identification(
-        name=names[best] if odds[best] > 1.0 else None,
+        name=names[best] if odds[best] * none >= _NAMED else None,
         probability=dict(zip(names, (odds * none).tolist(), strict=True)),
         none_probability=float(none),
         poses=poses,
     )
+
+
+def checked_names(objects: Sequence[ObjectModel]) -> list[str]:
+    """Names of a library.
+
+    Raises:
+        InputError: not objects, none, or a name that occurs twice.
+    """
+    if isinstance(objects, ObjectModel) or not all(isinstance(obj, ObjectModel) for obj in objects):
+        raise InputError("the library is a list of objects; load each with load_object(name or mesh file).")
+    names = [obj.name for obj in objects]
+    if not names or len(set(names)) < len(names):
+        raise InputError(f"the library holds {names or 'no objects'}; expected at least one, each name once.")
+    return names

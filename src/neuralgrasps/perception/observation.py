@@ -53,14 +53,23 @@ def observe_points(points_C: np.ndarray, *, reach_m: float, table: Plane | None 
     Raises:
         InputError: see `check_points`; or points that do not lie before the camera.
     """
-    points = _shuffled(check_points(points_C), seed)[:_POINTS]
-    if points[:, 2].min() <= 1e-3:
+    points = check_points(points_C)
+    points = points[points.any(axis=1)]  # organised clouds mark what was not measured by zeros
+    front = points[:, 2] > 1e-3
+    if front.sum() < max(MIN_POINTS, 0.5 * len(points)):
         raise InputError(
-            f"the points reach down to z = {points[:, 2].min():.3g} m; expected the camera's frame: x right, y down, "
-            "z forward, everything seen at z > 0."
+            f"only {front.sum()} of {len(points)} points lie before the camera; expected the camera's frame: x right, "
+            "y down, z forward, everything seen at z > 0."
         )
+    points = points[front]
+    points = _shuffled(points[np.lexsort(points.T)], seed)[:_POINTS]
+    ratio = points[:, :2] / points[:, 2:]
+    ratio_low, ratio_high = np.percentile(ratio, [1, 99], axis=0)
+    extent = np.maximum(ratio_high - ratio_low, 1e-6)
+    far_out = np.abs(ratio - 0.5 * (ratio_low + ratio_high)) > extent.max()  # strays would widen the image
+    points = points[~far_out.any(axis=1)]
     u, v = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-    spacing = max(float(np.sqrt(np.ptp(u) * np.ptp(v) / len(points))), 1e-5) * 1.5
+    spacing = 1.5 * max(float(np.sqrt(extent.prod() / len(points))), float(extent.max()) / 300.0)
     margin = int(min(reach_m / points[:, 2].min() / spacing, 150.0)) + 2
     left, top = u.min() - margin * spacing, v.min() - margin * spacing
     column, row = np.rint((u - left) / spacing).astype(int), np.rint((v - top) / spacing).astype(int)
@@ -101,7 +110,7 @@ def observe_depth(
     if mask is None:
         assert points_C is not None
         mask = _pixels_of(check_points(points_C), intrinsics)
-    depth, mask = np.asarray(depth), np.ascontiguousarray(mask, bool)
+    depth, mask = _checked_depth(depth), _checked_mask(mask)
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     if not len(rows):
         raise InputError("the mask is empty; expected the pixels of the object.")
@@ -137,7 +146,7 @@ def observe_around(
 
     Its points may be few or none.
     """
-    depth = np.asarray(depth)
+    depth = _checked_depth(depth)
     if depth.shape != (intrinsics.height, intrinsics.width):
         raise InputError(
             f"depth has shape {depth.shape}; the camera's images are {intrinsics.height} x {intrinsics.width}."
@@ -186,6 +195,33 @@ def check_points(points_C: np.ndarray) -> np.ndarray:
     if spread < 1e-3:
         raise InputError(f"the points span {1e3 * spread:.3g} mm, no more than one spot; expected a visible surface.")
     return points
+
+
+def _checked_depth(depth: np.ndarray) -> np.ndarray:
+    """float32 or float64 metres.
+
+    Raises:
+        InputError: not numbers; whole numbers, which metres are not.
+    """
+    depth = np.asarray(depth)
+    if depth.dtype.kind != "f":
+        raise InputError(
+            f"depth holds {depth.dtype}; expected metres as floating point. Divide the units of the file by their "
+            "number per metre, or use read_frame."
+        )
+    return depth if depth.dtype in (np.float32, np.float64) else depth.astype(np.float64)
+
+
+def _checked_mask(mask: np.ndarray) -> np.ndarray:
+    """(h, w) bool.
+
+    Raises:
+        InputError: not bool or whole numbers.
+    """
+    mask = np.asarray(mask)
+    if mask.dtype.kind not in "biu":
+        raise InputError(f"mask holds {mask.dtype}; expected bool, or whole numbers that are not 0 on the object.")
+    return np.ascontiguousarray(mask != 0)
 
 
 def _flat(table: Plane | None) -> np.ndarray:

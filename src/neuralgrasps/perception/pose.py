@@ -18,7 +18,14 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.contact import ContactPoints
 from neuralgrasps.perception.contact_search import with_contact
 from neuralgrasps.perception.observation import Observation, observe_depth, observe_points
-from neuralgrasps.perception.pose_confidence import confidence_features, confidence_of, pose_covariance, shares_of
+from neuralgrasps.perception.pose_confidence import (
+    confidence_features,
+    confidence_of,
+    physical_share,
+    pose_covariance,
+    shares_of,
+    with_sensor_errors,
+)
 from neuralgrasps.perception.pose_model import PoseModel, pose_model
 from neuralgrasps.perception.pose_search import NO_CONTACTS, Candidates, PoseConfig, distinct, same_pose, search
 from neuralgrasps.perception.pose_visibility import COST, EXPLAINED
@@ -35,11 +42,13 @@ class PoseResult:
     Attributes:
         X_CO: (4, 4) object frame in the camera frame, the best pose.
         confidence: probability that the pose is right: surface within 1 cm of the true one on average (ADD-S), and no
-            point off by a tenth of the diameter (MSSD, up to symmetry). Calibrated in simulation.
+            point off by a tenth of the diameter (MSSD, up to symmetry). Fitted in simulation; presumes that the depth
+            scale and the camera's numbers are right.
         score: how well the view is explained, 1 = fully; comparable between poses and between objects of one view.
         residual_m: median distance of the observed points to the surface.
         explained: share of the observed surface within 5 mm of the model's where that is visible.
-        covariance: (6, 6) of a twist [v, w] that moves the object about its centre, camera axes, metres and radians.
+        covariance: (6, 6) of a twist [v, w] that moves the object about its centre, camera axes, metres and radians:
+            of the fit, and 2 mm and 0.3 % of the depth that a camera may be off everywhere.
         converged: `confidence` is at least one half.
         alternatives_X_CO: (K, 4, 4) distinct poses that the view may also come from, best first, the first is `X_CO`;
             alternatives_probability: (K,) how the confidence that one of them is right falls to each; sums to 1.
@@ -119,11 +128,14 @@ def observe(
     return observe_depth(depth, intrinsics, mask, points_C=points_C, reach_m=reach_m, table=table, seed=seed)
 
 
-def result_of(model: PoseModel, scene: Observation, found: Candidates, config: PoseConfig, seed: int) -> PoseResult:
-    """The result that candidates amount to."""
+def result_of(
+    model: PoseModel, scene: Observation, found: Candidates, config: PoseConfig, seed: int, *, present: bool = True
+) -> PoseResult:
+    """The result that candidates amount to; present: the object is known to be there, see `confidence_of`."""
     kept, shares = merged_shares(model, found)
     covariance, residual = pose_covariance(model, scene, found.X_CO[0], config)
-    confidence = confidence_of(confidence_features(model, scene, found, float(shares[0]), covariance))
+    features = confidence_features(model, scene, found, float(shares[0]), covariance)
+    confidence = confidence_of(features, present=present) * physical_share(model, scene, found.X_CO[0], covariance)
     likely = shares >= _LEAST_SHARE
     likely[0] = True
     return PoseResult(
@@ -132,7 +144,7 @@ def result_of(model: PoseModel, scene: Observation, found: Candidates, config: P
         score=float(1.0 - found.evidence[0, COST]),
         residual_m=residual,
         explained=float(found.evidence[0, EXPLAINED]),
-        covariance=covariance,
+        covariance=with_sensor_errors(covariance, model, found.X_CO[0]),
         converged=confidence >= 0.5,
         alternatives_X_CO=found.X_CO[kept[likely]].copy(),
         alternatives_probability=shares[likely] / shares[likely].sum(),

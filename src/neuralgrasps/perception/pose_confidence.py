@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from neuralgrasps.geometry.sdf_grid import grid_distances
@@ -13,6 +15,7 @@ from neuralgrasps.perception.pose_visibility import COST, EXPLAINED, FREE
 
 EFFECTIVE_POINTS = 40.0  # depth errors of neighbouring pixels are alike: all points count as so many independent ones
 _NOISE_FLOOR_M = 1.0e-3
+_SHARED_M, _SCALE_ERROR = 0.002, 0.003  # errors of a depth camera that no number of points averages out
 SHARPNESS = 40.0  # of the shares: a cost lower by 1 / SHARPNESS makes a pose e times as likely
 # Logistic regressions on `confidence_features`; benchmarks/pose_confidence.py fits them on simulated views.
 WEIGHTS = np.array([-11.127, -0.896, -1.976, -1.529, -0.255, -0.761])
@@ -20,6 +23,7 @@ TABLE_WEIGHTS = np.array([8.647, -1.246, -1.972, -1.599, -0.297, -0.733, -0.855,
 _FEWEST = 0.003  # shares below this count as so much
 # Misfits below these are a real camera's, scan's and table's. So small floors as simulation would allow made nearly all
 # poses in real images doubtful, and so did the distance of the points.
+_SUNK_M = 0.008  # a table is solid; it may be found so much too high
 _HEIGHT_M, _TILT_RAD, _UNEXPLAINED = 0.015, float(np.deg2rad(15.0)), 0.02
 
 
@@ -45,6 +49,15 @@ def pose_covariance(
     # a motion that nothing resists is known to half the object's size
     information += np.eye(6) / (0.5 * model.radius) ** 2
     return np.linalg.inv(information) / (scale[:, None] * scale), residual
+
+
+def with_sensor_errors(covariance: np.ndarray, model: PoseModel, X_CO: np.ndarray) -> np.ndarray:
+    """A covariance of `pose_covariance` and what all points share: 2 mm, and 0.3 % of the depth along the ray."""
+    centre = X_CO[:3, :3] @ model.centre + X_CO[:3, 3]
+    out = covariance.copy()
+    out[:3, :3] += _SHARED_M**2 * np.eye(3) + _SCALE_ERROR**2 * np.outer(centre, centre)
+    out[3:, 3:] += (_SHARED_M / model.radius) ** 2 * np.eye(3)
+    return out
 
 
 def surface_distances(model: PoseModel, points_C: np.ndarray, X_CO: np.ndarray) -> np.ndarray:
@@ -80,18 +93,35 @@ def confidence_features(
     ]
     if scene.table.any():
         height, tilt = table_misfit(model, scene.table, found.X_CO[0])
-        features += [np.log(1e3 * (height + _HEIGHT_M)), np.log(np.rad2deg(tilt + _TILT_RAD))]
+        features += [np.log(1e3 * (abs(height) + _HEIGHT_M)), np.log(np.rad2deg(tilt + _TILT_RAD))]
     return np.array(features)
 
 
 def table_misfit(model: PoseModel, table: np.ndarray, X_CO: np.ndarray) -> tuple[float, float]:
-    """How far the posed object hovers over or sinks into a table (4,), metres, and its tilt from rest, radians."""
+    """Height of the posed object's lowest point over a table (4,), metres, and its tilt from rest, radians."""
     hull = model.hull @ X_CO[:3, :3].T + X_CO[:3, 3]
     down = -(model.rests @ X_CO[:3, :3].T) @ table[:3]
-    return abs(float((hull @ table[:3]).min() + table[3])), float(np.arccos(np.clip(down.max(), -1.0, 1.0)))
+    return float((hull @ table[:3]).min() + table[3]), float(np.arccos(np.clip(down.max(), -1.0, 1.0)))
 
 
-def confidence_of(features: np.ndarray) -> float:
-    """Probability that the candidate with these `confidence_features` is right, see `PoseResult.confidence`."""
-    weights = TABLE_WEIGHTS if len(features) == len(TABLE_WEIGHTS) else WEIGHTS
-    return float(1.0 / (1.0 + np.exp(-weights @ features)))
+def confidence_of(features: np.ndarray, *, present: bool) -> float:
+    """Probability that the candidate with these `confidence_features` is right, see `PoseResult.confidence`.
+
+    With a table there are two opinions, one that knows of it and one that looks at the view alone. Of an object that is
+    known to be `present` the better counts, for it may lean or stand on something; else both count alike.
+    """
+    free = float(WEIGHTS @ features[: len(WEIGHTS)])
+    if len(features) > len(WEIGHTS):
+        standing = float(TABLE_WEIGHTS @ features[: len(TABLE_WEIGHTS)])
+        free = max(free, standing) if present else 0.5 * (free + standing)
+    return float(1.0 / (1.0 + np.exp(-free)))
+
+
+def physical_share(model: PoseModel, scene: Observation, X_CO: np.ndarray, covariance: np.ndarray) -> float:
+    """What physics and spread leave of a confidence: 0 deep inside the table, and where the view fixes too little."""
+    spread = np.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3]).max())) / (0.1 * model.diameter)
+    share = math.erf(1.0 / (math.sqrt(2.0) * spread))
+    if scene.table.any():
+        sunk = max(-table_misfit(model, scene.table, X_CO)[0] - _SUNK_M, 0.0)
+        share *= math.exp(-((sunk / _SUNK_M) ** 2))
+    return share

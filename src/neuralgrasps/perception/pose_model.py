@@ -41,7 +41,7 @@ class PoseModel(NamedTuple):
         views: (V, 3) unit directions of sight; visible: (V, 3) centroid of what is seen along each.
         turns: (S, 4, 4) motions of the object nearly onto itself, the identity first: a view may take one for the
             other; same: of them, its symmetry group. axis: (3,) about which it can turn by any angle, else 0; `turns`
-            and `same` then only turn the axis around.
+            and `same` then only turn the axis around. is_round: its symmetry group has the axis too; is_ball: any axis.
     """
 
     values: np.ndarray
@@ -64,6 +64,8 @@ class PoseModel(NamedTuple):
     turns: np.ndarray
     same: np.ndarray
     axis: np.ndarray
+    is_round: bool
+    is_ball: bool
 
 
 _models: OrderedDict[str, PoseModel] = OrderedDict()
@@ -118,6 +120,8 @@ def _prepare(obj: ObjectModel) -> PoseModel:
         turns=turns,
         same=_turns(obj.symmetry)[0],
         axis=axis,
+        is_round=obj.symmetry.continuous_axis is not None or len(obj.symmetry) > _BALL,
+        is_ball=len(obj.symmetry) > _BALL,
     )
 
 

@@ -15,6 +15,7 @@ from neuralgrasps.perception.pose_visibility import COST, EVIDENCE, ray_evidence
 
 _SAME_COSINE, _SAME_M = float(np.cos(np.deg2rad(8.0))), 0.010  # poses nearer than this are one
 NO_CONTACTS = np.zeros((0, 4))
+_ANY = -2.0  # every rotation of a ball is the same
 _TABLE_DOUBT = 0.1  # a pose off the table must explain so much more of the view
 
 
@@ -31,6 +32,7 @@ class PoseConfig:
         clip_m: residuals count at most this much in coarse scores.
         tolerance_m: distance at which a point counts as half explained.
         free_weight, table_weight, rest_weight: weights of free space, of touching the table and of a stable pose on it.
+        table_trust: factor of the last two in each round; at last the view decides, for tables are found millimetres off.
         margin_m: what sensor noise may explain, at 1 m.
         ray_cells: about so many pixels of the mask are looked at in the image, in each round.
         contact_weight: weight of all contact points together, 3 mm accurate, as a share of that of the points.
@@ -56,6 +58,7 @@ class PoseConfig:
     free_weight: float = 1.0
     table_weight: float = 0.1
     rest_weight: float = 0.05
+    table_trust: tuple[float, float, float] = (1.0, 1.0, 0.1)
     margin_m: float = 0.006
     ray_cells: tuple[int, int, int] = (120, 200, 500)
     fine_weight: float = 0.4
@@ -64,8 +67,9 @@ class PoseConfig:
 
     def terms(self, stage: int) -> Terms:
         """What one round of polishing minimises."""
+        trust = self.table_trust[stage]
         return Terms(
-            self.kernels_m[stage], self.free_weight, self.table_weight, self.rest_weight, self.margin_m,
+            self.kernels_m[stage], self.free_weight, trust * self.table_weight, trust * self.rest_weight, self.margin_m,
             self.points[stage], self.model_points[stage],
         )  # fmt: skip
 
@@ -130,7 +134,7 @@ def polished(
     cost /= min(config.points[stage], len(scene.points)) * config.kernels_m[stage] ** 2
     evidence = evidence_of(model, scene, X, config, stage)
     cost = evidence[:, COST] + config.fine_weight * cost
-    order = distinct(model, X, cost, len(X), model.turns[:1])
+    order = distinct(model, X, cost, len(X), model.same)  # of equal poses the copy that fits best
     return Candidates(X[order], cost[order], evidence[order])
 
 
@@ -166,13 +170,14 @@ def distinct(model: PoseModel, X: np.ndarray, cost: np.ndarray, count: int, turn
     """
     order = np.argsort(cost, kind="stable")
     kept = np.zeros(count, np.int64)
-    found = _suppress(X[order], turns, model.axis, model.centre, _SAME_COSINE, _SAME_M, kept)
+    cosine = _ANY if model.is_ball else _SAME_COSINE
+    found = _suppress(X[order], turns, model.axis, model.centre, cosine, _SAME_M, kept)
     return order[kept[:found]]
 
 
 def same_pose(model: PoseModel, X: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """(N,) for each pose X (N, 4, 4) the first of the chosen (K, 4, 4) that it equals up to the object's symmetry."""
-    near = (model.same, model.axis, model.centre, _SAME_COSINE, _SAME_M)
+    near = (model.same, model.axis, model.centre, _ANY if model.is_ball else _SAME_COSINE, _SAME_M)
     return np.array([next((k for k, c in enumerate(chosen) if _alike(one, c, *near)), 0) for one in X])
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.frame import checked_pose
 from neuralgrasps.perception.observation import MIN_POINTS, observe_around
 from neuralgrasps.perception.pose import PoseConfig, PoseResult, observe, result_of
 from neuralgrasps.perception.pose_model import pose_model
@@ -40,10 +43,10 @@ def track_pose(
     Raises:
         InputError: a depth image of another size, or fewer than 20 measured points where the object was.
     """
-    check_shape("X_CO_before", np.shape(X_CO_before), (4, 4))
     config = config or PoseConfig()
     model = pose_model(obj)
-    X = np.array(X_CO_before, np.float64)[None]
+    before = checked_pose(X_CO_before, "X_CO_before")[None]
+    X = before.copy()
     for stage, gate_m in enumerate(_GATES_M, start=1):
         if mask is None:
             scene = observe_around(depth, intrinsics, model, X[0], gate_m=gate_m, table=table, seed=seed)
@@ -60,4 +63,7 @@ def track_pose(
             X = polished(model, scene, NO_CONTACTS, X, config, 0).X_CO
         found = polished(model, scene, NO_CONTACTS, X, config, stage)
         X = found.X_CO
+    stayed = polished(model, scene, NO_CONTACTS, before, replace(config, steps=(0, 0, 0)), 2)
+    if stayed.cost[0] <= found.cost[0]:  # no drift on a still image
+        found = stayed
     return result_of(model, scene, found, config, seed)
