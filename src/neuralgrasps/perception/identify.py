@@ -16,7 +16,7 @@ from neuralgrasps.perception.pose_model import pose_model
 from neuralgrasps.perception.pose_search import NO_CONTACTS, search
 
 _SUREST = 1.0e-6  # confidences are not taken closer to 0 or 1
-_NAMED = 0.5  # least probability of an object to be named
+_NAMED = 0.35  # least probability of an object to be named
 _SEARCHED_WIDELY = 3  # so many objects, where none explains the view well
 
 
@@ -25,7 +25,7 @@ class Identification:
     """Which object a view shows.
 
     Attributes:
-        name: the object, when one is at least as likely as all others and none together; else None.
+        name: the likeliest object, when its probability is at least 0.35 and above that of none; else None.
         probability: of every object of the library, that it is there in the pose found; with `none_probability`, that
             nothing of the library is, they sum to 1.
         none_probability: that it is none of them.
@@ -81,7 +81,7 @@ def identify_object(
     none = 1.0 / (1.0 + odds.sum())
     best = int(odds.argmax())
     return Identification(
-        name=names[best] if odds[best] * none >= _NAMED else None,
+        name=names[best] if odds[best] > 1.0 and odds[best] * none >= _NAMED else None,
         probability=dict(zip(names, (odds * none).tolist(), strict=True)),
         none_probability=float(none),
         poses=poses,

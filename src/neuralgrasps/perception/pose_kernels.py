@@ -35,7 +35,7 @@ class Terms(NamedTuple):
 
 UNMEASURED = 0.1  # weight of pixels without a measurement: a weak hint only
 FREE_HUBER_M = 0.010
-TABLE_HUBER_M = 0.008
+TABLE_KERNEL_M = 0.020  # Geman-McClure: a table far from where the view puts the object has no say
 REST_LIMIT = 0.25  # rad: farther from every stable pose, the object does not rest on the table
 REST_KERNEL = 0.05  # rad
 CONTACT_KERNEL_M = 0.006
@@ -250,12 +250,9 @@ def _table_term(model, scene, terms, X, centre, H, b):  # type: ignore[no-untype
     y = X[1, 0] * q[0] + X[1, 1] * q[1] + X[1, 2] * q[2] + X[1, 3]
     z = X[2, 0] * q[0] + X[2, 1] * q[1] + X[2, 2] * q[2] + X[2, 3]
     scale = terms.table * min(terms.points, scene.points.shape[0])
-    weight = scale
-    if abs(height) > TABLE_HUBER_M:
-        cost = scale * TABLE_HUBER_M * (2.0 * abs(height) - TABLE_HUBER_M)
-        weight *= TABLE_HUBER_M / abs(height)
-    else:
-        cost = scale * height * height
+    k2 = TABLE_KERNEL_M * TABLE_KERNEL_M
+    cost = scale * k2 * height * height / (height * height + k2)
+    weight = scale * (k2 / (height * height + k2)) ** 2
     _add(H, b, n[0], n[1], n[2], x - centre[0], y - centre[1], z - centre[2], height, weight)
     return cost + _rest_term(model, terms, X, n, min(terms.points, scene.points.shape[0]), H, b)
 
