@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -15,11 +16,12 @@ from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.clusters import find_clusters
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.perception.identify import checked_names, identify_object
+from neuralgrasps.perception.identify import Identification, checked_names, identify_object
 from neuralgrasps.perception.pose import PoseConfig, PoseResult
 from neuralgrasps.perception.table import find_table
 
 _OWN_M = 0.008  # pixels so near to a found object are its own
+_PART_SHARE, _PARTS_TRIED = 0.3, 2  # a cluster of several objects is tried by the parts that poses explain
 _REST_SHARE = 0.15  # what is left of a cluster is looked at again when it is at least so much of it
 
 
@@ -78,9 +80,10 @@ def find_objects(
         mask = open_masks.pop(0) & (frame.depth > 0)
         if mask.sum() < min_pixels:
             continue
-        seen = identify_object(
-            objects, depth=frame.depth, intrinsics=frame.intrinsics, mask=mask, table=table, config=config, seed=seed
-        )
+        view = {"depth": frame.depth, "intrinsics": frame.intrinsics, "table": table, "config": config, "seed": seed}
+        seen = identify_object(objects, mask=mask, **view)
+        if seen.name is None:
+            seen = _of_a_part(objects, seen, points_C, mask, min_pixels, view)
         if seen.name is None:
             continue
         obj, pose = next(o for o in objects if o.name == seen.name), seen.poses[seen.name]
@@ -98,6 +101,25 @@ def find_objects(
             if part.sum() > max(min_pixels, _REST_SHARE * mask.sum()):
                 open_masks.append(part)
     return sorted(found, key=lambda f: -int(f.mask.sum()))
+
+
+def _of_a_part(
+    objects: Sequence[ObjectModel],
+    seen: Identification,
+    points_C: np.ndarray,
+    mask: np.ndarray,
+    min_pixels: int,
+    view: dict[str, Any],
+) -> Identification:
+    """What the larger part of a cluster is, when the whole is nothing: the part that the best fitting pose explains."""
+    fitting = sorted(objects, key=lambda obj: -seen.poses[obj.name].explained)[:_PARTS_TRIED]
+    for obj in fitting:
+        own = mask & _near(obj, seen.poses[obj.name].X_CO, points_C, mask)
+        if max(min_pixels, _PART_SHARE * mask.sum()) <= own.sum() < 0.95 * mask.sum():
+            part = identify_object(objects, mask=own, **view)
+            if part.name is not None and part.probability[part.name] > 0.5:
+                return part
+    return seen
 
 
 def _is_taken(obj: ObjectModel, X_CO: np.ndarray, other: FoundObject) -> bool:
