@@ -189,7 +189,6 @@ def test_points_without_an_image_lie_on_the_pixels_of_their_own(fine):
     np.testing.assert_array_equal(np.sort(scene.points, axis=0), np.sort(points, axis=0))
 
 
-@pytest.mark.xfail(strict=True, reason="the pixels' width is the root of the cloud's width times its height: here 0")
 def test_points_on_a_line_have_a_small_image_too():
     line = np.column_stack([np.linspace(-0.05, 0.05, 200), np.zeros(200), np.full(200, 0.6)])
     assert observe_points(line, reach_m=REACH_M).depth.size < 1_000_000
@@ -227,6 +226,35 @@ def test_an_object_that_left_the_image_has_no_points(look, things, standing):
         assert len(observe_around(seen.depth, seen.intrinsics, model, gone, gate_m=0.02).points) == 0
 
 
+def _turned_back(points, count):
+    """The first so many points behind the camera."""
+    out = points.copy()
+    out[:count] *= -1.0
+    return out
+
+
+def test_up_to_half_of_the_points_may_lie_behind_the_camera(fine):
+    points = fine.points_C[::7]
+    kept = observe_points(points[60:], reach_m=REACH_M)
+    for bad in (_turned_back(points, 60), np.concatenate([points[60:], points[60:] * [1, 1, -1]])):
+        for a, b in zip(observe_points(bad, reach_m=REACH_M), kept, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_zeros_of_an_organised_cloud_are_no_points(fine):
+    points = fine.points_C[::7]
+    padded = np.concatenate([np.zeros((len(points) // 2, 3)), points, np.zeros((3 * len(points), 3))])
+    for a, b in zip(observe_points(padded, reach_m=REACH_M), observe_points(points, reach_m=REACH_M), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_mask_of_whole_numbers_is_one_of_what_is_not_zero(fine):
+    expected = observe_depth(fine.depth, FINE, fine.mask, reach_m=REACH_M)
+    for mask in (255 * fine.mask.astype(np.uint8), -3 * fine.mask.astype(np.int64)):
+        for a, b in zip(observe_depth(fine.depth, FINE, mask, reach_m=REACH_M), expected, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
 def test_what_cannot_be_observed_is_named(fine):
     points, k = fine.points_C, FINE
     cases = [
@@ -234,15 +262,21 @@ def test_what_cannot_be_observed_is_named(fine):
         (lambda: observe_points(np.zeros((0, 3)), reach_m=0.1), "0 finite points"),
         (lambda: observe_points(np.full((50, 3), np.nan), reach_m=0.1), "0 finite points"),
         (lambda: observe_points(1e3 * points, reach_m=0.1), "millimetres.*1000"),
-        (lambda: observe_points(points * [1, -1, -1], reach_m=0.1), "z forward"),
-        (lambda: observe_points(points - [0, 0, 0.6], reach_m=0.1), "z forward"),
+        (lambda: observe_points(points[:99] * [1, -1, -1], reach_m=0.1), "only 0 of 99 points lie before.*z forward"),
+        (lambda: observe_points(points - [0, 0, points[:, 2].max()], reach_m=0.1), "only 0 of .*before the camera"),
+        (lambda: observe_points(_turned_back(points[:100], 51), reach_m=0.1), "only 49 of 100 points lie before"),
+        (lambda: observe_points(_turned_back(points[:30], 11), reach_m=0.1), "only 19 of 30 points lie before"),
         (lambda: observe_points(np.tile(points[:1], (50, 1)), reach_m=0.1), "one spot"),
         (lambda: observe_depth(fine.depth[:-1], k, fine.mask, reach_m=0.1), "depth has shape.*480 x 640"),
         (lambda: observe_depth(fine.depth, k, fine.mask[:, 1:], reach_m=0.1), "mask has shape.*480 x 640"),
         (lambda: observe_depth(fine.depth, k, np.zeros_like(fine.mask), reach_m=0.1), "mask is empty"),
         (lambda: observe_depth(0 * fine.depth, k, fine.mask, reach_m=0.1), "0 finite points"),
         (lambda: observe_depth(1e3 * fine.depth, k, fine.mask, reach_m=0.1), "metres"),
-        (lambda: observe_depth((1e3 * fine.depth).astype(np.uint16), k, fine.mask, reach_m=0.1), "metres"),
+        (lambda: observe_depth((1e3 * fine.depth).astype(np.int32), k, fine.mask, reach_m=0.1),
+         "depth holds int32; expected metres as floating point"),
+        (lambda: observe_depth((1e3 * fine.depth).astype(np.uint16), k, fine.mask, reach_m=0.1), "depth holds uint16"),
+        (lambda: observe_depth(fine.depth, k, 1.0 * fine.mask, reach_m=0.1), "mask holds float64; expected bool"),
+        (lambda: observe_depth(fine.depth, k, fine.mask.astype(str), reach_m=0.1), "mask holds <U5; expected bool"),
         (lambda: observe_depth(fine.depth, k, None, points_C=points - [3, 0, 0], reach_m=0.1), "fall into the image"),
     ]  # fmt: skip
     for call, message in cases:
