@@ -128,3 +128,9 @@ def test_a_frame_or_library_that_cannot_be_used_is_named(things, library, frame_
         find_objects(library, Frame(speckles, CAMERA))
     with pytest.raises(InputError, match="each name once"):
         find_objects([things["box"], things["box"]], frame, table=table)
+    for bad, what in (("frame.png", "str"), (["a.png", "b.png"], "list"), (frame.depth, "ndarray")):
+        with pytest.raises(InputError, match=f"the frame is {what}; expected a Frame"):
+            find_objects(library, bad, table=table)
+    for names in (["box", "can"], "box"):
+        with pytest.raises(InputError, match="load_object"):
+            find_objects(names, frame, table=table)
