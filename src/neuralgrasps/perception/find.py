@@ -80,7 +80,13 @@ def find_objects(
         mask = open_masks.pop(0) & (frame.depth > 0)
         if mask.sum() < min_pixels:
             continue
-        view = {"depth": frame.depth, "intrinsics": frame.intrinsics, "table": table, "config": config, "seed": seed}
+        view: dict[str, Any] = {
+            "depth": frame.depth,
+            "intrinsics": frame.intrinsics,
+            "table": table,
+            "config": config,
+            "seed": seed,
+        }
         seen = identify_object(objects, mask=mask, **view)
         if seen.name is None:
             seen = _of_a_part(objects, seen, points_C, mask, min_pixels, view)
