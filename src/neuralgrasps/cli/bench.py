@@ -45,7 +45,7 @@ def bench(
             latent and pose: the scans where they were imported or downloaded.
         hands: default the five built-in hands; not of pose.
         count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent; pose: scenes per object and
-            set, default 40, with --quick 10.
+            set, default 20, with --quick 10.
         seed: root of every random number.
         workers: processes.
         quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects; latent: the shipped run, and

@@ -60,7 +60,7 @@ def bench_pose(
 
     Args:
         objects: names, files or folders; default the YCB scans that are here, else the built-in seven.
-        count: scenes per object and set; default 40, quick 10.
+        count: scenes per object and set; default 20, quick 10.
     """
     from neuralgrasps.evaluate.pose_bench import QUICK, PoseBenchConfig
     from neuralgrasps.evaluate.pose_bench import bench_pose as measure

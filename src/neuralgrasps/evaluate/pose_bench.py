@@ -48,14 +48,14 @@ class PoseBenchConfig:
         seed: root of every random number.
     """
 
-    scenes: int = 40
-    others: int = 24
-    peers: int = 16
-    identity: int = 12
-    left_out: int = 6
-    background: int = 210
-    held: int = 10
-    sequences: int = 3
+    scenes: int = 20
+    others: int = 8
+    peers: int = 8
+    identity: int = 8
+    left_out: int = 4
+    background: int = 100
+    held: int = 9
+    sequences: int = 2
     frames: int = 20
     seed: int = 0
 

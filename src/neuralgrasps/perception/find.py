@@ -21,6 +21,7 @@ from neuralgrasps.perception.pose import PoseConfig, PoseResult
 from neuralgrasps.perception.table import find_table
 
 _OWN_M = 0.008  # pixels so near to a found object are its own
+_SURE_PART = 0.8  # a part of a thing that nobody knows may look like an object
 _PART_SHARE, _PARTS_TRIED = 0.3, 2  # a cluster of several objects is tried by the parts that poses explain
 _REST_SHARE = 0.15  # what is left of a cluster is looked at again when it is at least so much of it
 
@@ -123,7 +124,7 @@ def _of_a_part(
         own = mask & _near(obj, seen.poses[obj.name].X_CO, points_C, mask)
         if max(min_pixels, _PART_SHARE * mask.sum()) <= own.sum() < 0.95 * mask.sum():
             part = identify_object(objects, mask=own, **view)
-            if part.name is not None and part.probability[part.name] > 0.5:
+            if part.name is not None and part.probability[part.name] > _SURE_PART:
                 return part
     return seen
 

@@ -135,7 +135,9 @@ def result_of(
     kept, shares = merged_shares(model, found)
     covariance, residual = pose_covariance(model, scene, found.X_CO[0], config)
     features = confidence_features(model, scene, found, float(shares[0]), covariance)
-    confidence = confidence_of(features, present=present) * physical_share(model, scene, found.X_CO[0], covariance)
+    surroundings = bool(((scene.depth > 0.0) & (scene.outside > 0.0)).any())
+    confidence = confidence_of(features, present=present, surroundings=surroundings)
+    confidence *= physical_share(model, scene, found.X_CO[0], covariance)
     likely = shares >= _LEAST_SHARE
     likely[0] = True
     return PoseResult(

@@ -20,6 +20,7 @@ SHARPNESS = 40.0  # of the shares: a cost lower by 1 / SHARPNESS makes a pose e 
 # Logistic regressions on `confidence_features`; benchmarks/pose_confidence.py fits them on simulated views.
 WEIGHTS = np.array([-11.127, -0.896, -1.976, -1.529, -0.255, -0.761])
 TABLE_WEIGHTS = np.array([8.647, -1.246, -1.972, -1.599, -0.297, -0.733, -0.855, -6.306])
+_BLIND = 2.0  # what a cloud alone takes off the log odds
 _FEWEST = 0.003  # shares below this count as so much
 # Misfits below these are a real camera's, scan's and table's. So small floors as simulation would allow made nearly all
 # poses in real images doubtful, and so did the distance of the points.
@@ -104,8 +105,10 @@ def table_misfit(model: PoseModel, table: np.ndarray, X_CO: np.ndarray) -> tuple
     return float((hull @ table[:3]).min() + table[3]), float(np.arccos(np.clip(down.max(), -1.0, 1.0)))
 
 
-def confidence_of(features: np.ndarray, *, present: bool) -> float:
+def confidence_of(features: np.ndarray, *, present: bool, surroundings: bool) -> float:
     """Probability that the candidate with these `confidence_features` is right, see `PoseResult.confidence`.
+
+    surroundings: more was measured than the object's own points; without, nothing can speak against a larger object.
 
     With a table there are two opinions, one that knows of it and one that looks at the view alone. Of an object that is
     known to be `present` the better counts, for it may lean or stand on something; else both count alike.
@@ -114,6 +117,8 @@ def confidence_of(features: np.ndarray, *, present: bool) -> float:
     if len(features) > len(WEIGHTS):
         standing = float(TABLE_WEIGHTS @ features[: len(TABLE_WEIGHTS)])
         free = max(free, standing) if present else 0.5 * (free + standing)
+    if not surroundings:
+        free -= _BLIND
     return float(1.0 / (1.0 + np.exp(-free)))
 
 

@@ -32,7 +32,7 @@ class PoseConfig:
         clip_m: residuals count at most this much in coarse scores.
         tolerance_m: distance at which a point counts as half explained.
         free_weight, table_weight, rest_weight: weights of free space, of touching the table and of a stable pose on it.
-        table_trust: factor of the last two in each round; at last the view decides, for tables are found millimetres off.
+        table_trust: factor of the last two in each round; at last the view decides: tables are found millimetres off.
         margin_m: what sensor noise may explain, at 1 m.
         ray_cells: about so many pixels of the mask are looked at in the image, in each round.
         contact_weight: weight of all contact points together, 3 mm accurate, as a share of that of the points.
