@@ -125,7 +125,8 @@ def confidence_of(features: np.ndarray, *, present: bool, surroundings: bool) ->
 def physical_share(model: PoseModel, scene: Observation, X_CO: np.ndarray, covariance: np.ndarray) -> float:
     """What physics and spread leave of a confidence: 0 deep inside the table, and where the view fixes too little."""
     spread = np.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3]).max())) / (0.1 * model.diameter)
-    share = math.erf(1.0 / (math.sqrt(2.0) * spread))
+    spread *= 1.0 - float(scene.free.min())  # an outline that nothing hides fixes what the points leave open
+    share = math.erf(1.0 / (math.sqrt(2.0) * max(spread, 1e-3)))
     if scene.table.any():
         sunk = max(-table_misfit(model, scene.table, X_CO)[0] - _SUNK_M, 0.0)
         share *= math.exp(-((sunk / _SUNK_M) ** 2))
