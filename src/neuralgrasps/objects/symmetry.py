@@ -56,8 +56,8 @@ def trivial_symmetry(centre: np.ndarray, tolerance_m: float) -> SymmetryGroup:
 def default_tolerance(points_O: np.ndarray) -> float:
     """2 % of the diameter of (P, 3) points, at most 5 mm.
 
-    With it no scanned YCB bottle gains a symmetry, and the scanned boxes have that of a box; but for the cracker box,
-    which bulges so much that a half turn moves its surface by 5.2 mm.
+    With it the scanned bleach bottle has no symmetry, the mustard bottle a half turn, and the boxes that of a box; but
+    for the cracker box, which bulges so much that a half turn moves its surface by 5.2 mm.
     """
     try:
         corners = points_O[ConvexHull(points_O).vertices]
