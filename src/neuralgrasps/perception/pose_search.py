@@ -63,7 +63,7 @@ class PoseConfig:
     ray_cells: tuple[int, int, int] = (120, 200, 500)
     fine_weight: float = 0.4
     contact_weight: float = 0.1
-    contact_share: float = 0.05
+    contact_share: float = 0.01
 
     def terms(self, stage: int) -> Terms:
         """What one round of polishing minimises."""
