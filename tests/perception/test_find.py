@@ -92,7 +92,6 @@ def test_two_objects_in_one_mask_are_two(things, library, frame_of, name):
     _assert_found(things, find_objects(library, frame, table=table, masks=[whole]), placed, masks, poses)
 
 
-@pytest.mark.xfail(strict=False, reason="one box explains the cluster; what is left of it is not always named")
 def test_two_boxes_flush_with_each_other_are_two(library, frame_of):
     frame, _, _, _ = frame_of(("box", _at(0.0, -0.046, 0.06)), ("box", _at(0.0, 0.046, 0.06)))
     assert [f.name for f in find_objects(library, frame)] == ["box", "box"]

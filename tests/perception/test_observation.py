@@ -12,13 +12,8 @@ from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.camera import Intrinsics, back_project, project
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.perception.observation import (
-    _filled,
-    distance_outside,
-    observe_around,
-    observe_depth,
-    observe_points,
-)
+from neuralgrasps.perception.observation import observe_around, observe_depth, observe_points
+from neuralgrasps.perception.observation_kernels import distance_outside, filled
 from neuralgrasps.perception.pose_model import pose_model
 
 FINE = Intrinsics.from_fov(np.deg2rad(35.0), 640, 480)
@@ -59,7 +54,7 @@ def test_holes_next_to_a_surface_take_the_nearest_depth_within_two_pixels():
     far = np.where(depth > 0.0, depth, np.inf)
     nearest = ndimage.minimum_filter(far, size=5, mode="constant", cval=np.inf)
     expected = np.where((depth > 0.0) | mask, depth, np.where(np.isfinite(nearest), nearest, 0.0))
-    np.testing.assert_array_equal(_filled(depth, mask), expected)
+    np.testing.assert_array_equal(filled(depth, mask), expected)
     assert (expected == 0.0).any() and (expected != depth).any()
 
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.geometry.se3 import exp_se3
-from neuralgrasps.perception.observation import Observation, distance_outside, observe_depth
+from neuralgrasps.perception.observation import Observation, observe_depth
+from neuralgrasps.perception.observation_kernels import distance_outside
 from neuralgrasps.perception.pose_kernels import (
     UNMEASURED,
     Terms,

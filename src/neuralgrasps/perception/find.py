@@ -10,7 +10,6 @@ import numpy as np
 from scipy import ndimage
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.geometry.camera import pixel_rays
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.objects.object_model import ObjectModel
@@ -75,7 +74,7 @@ def find_objects(
     if table is None:
         table = find_table(frame, seed=seed).plane
     open_masks = [np.asarray(m, bool) for m in (find_clusters(frame, table) if masks is None else masks)]
-    points_C = pixel_rays(frame.intrinsics) * frame.depth[..., None]
+    points_C = frame.points
     found: list[FoundObject] = []
     while open_masks:
         mask = open_masks.pop(0) & (frame.depth > 0)
@@ -97,9 +96,9 @@ def find_objects(
         if any(_is_taken(obj, pose.X_CO, other) for other in found):
             continue
         own = mask & _near(obj, pose.X_CO, points_C, mask)
-        centre = pose.X_CO[:3, :3] @ obj.symmetry.centre + pose.X_CO[:3, 3]
+        centre_C = _centre(obj, pose.X_CO)
         found.append(
-            FoundObject(name=seen.name, probability=seen.probability[seen.name], pose=pose, mask=own, centre_C=centre)
+            FoundObject(name=seen.name, probability=seen.probability[seen.name], pose=pose, mask=own, centre_C=centre_C)
         )
         rest = ndimage.binary_opening(mask & ~own, np.ones((3, 3)))
         labels, count = ndimage.label(rest, structure=np.ones((3, 3)))
@@ -131,8 +130,11 @@ def _of_a_part(
 
 def _is_taken(obj: ObjectModel, X_CO: np.ndarray, other: FoundObject) -> bool:
     """Whether most of an object would lie where another one was found: a piece of that one, taken for a second."""
-    centre = X_CO[:3, :3] @ obj.symmetry.centre + X_CO[:3, 3]
-    return float(np.linalg.norm(centre - other.centre_C)) < 0.25 * float(np.linalg.norm(obj.mesh.extents))
+    return float(np.linalg.norm(_centre(obj, X_CO) - other.centre_C)) < 0.25 * float(np.linalg.norm(obj.mesh.extents))
+
+
+def _centre(obj: ObjectModel, X_CO: np.ndarray) -> np.ndarray:
+    return np.asarray(X_CO[:3, :3] @ obj.symmetry.centre + X_CO[:3, 3])
 
 
 def _near(obj: ObjectModel, X_CO: np.ndarray, points_C: np.ndarray, mask: np.ndarray) -> np.ndarray:

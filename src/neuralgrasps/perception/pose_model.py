@@ -41,7 +41,7 @@ class PoseModel(NamedTuple):
         views: (V, 3) unit directions of sight; visible: (V, 3) centroid of what is seen along each.
         turns: (S, 4, 4) motions of the object nearly onto itself, the identity first: a view may take one for the
             other; same: of them, its symmetry group. axis: (3,) about which it can turn by any angle, else 0; `turns`
-            and `same` then only turn the axis around. is_round: its symmetry group has the axis too; is_ball: any axis.
+            and `same` then only turn the axis around. is_ball: it can turn about any axis.
     """
 
     values: np.ndarray
@@ -64,23 +64,24 @@ class PoseModel(NamedTuple):
     turns: np.ndarray
     same: np.ndarray
     axis: np.ndarray
-    is_round: bool
     is_ball: bool
 
 
-_models: OrderedDict[str, PoseModel] = OrderedDict()
+_models: OrderedDict[tuple[str, bytes, float], PoseModel] = OrderedDict()
 _lock = Lock()
 
 
 def pose_model(obj: ObjectModel) -> PoseModel:
     """The object's arrays, from memory when it was asked for before (0.1-0.2 s else)."""
+    symmetry = obj.symmetry
+    key = (obj.content_hash, np.ascontiguousarray(symmetry.rotations).tobytes(), symmetry.tolerance_m)
     with _lock:
-        if obj.content_hash in _models:
-            _models.move_to_end(obj.content_hash)
-            return _models[obj.content_hash]
+        if key in _models:
+            _models.move_to_end(key)
+            return _models[key]
     made = _prepare(obj)
     with _lock:
-        _models[obj.content_hash] = made
+        _models[key] = made
         while len(_models) > _KEPT_MODELS:
             _models.popitem(last=False)
     return made
@@ -96,7 +97,7 @@ def _prepare(obj: ObjectModel) -> PoseModel:
     values = np.ascontiguousarray(obj.sdf.values)
     grid = (values, obj.sdf.origin, obj.sdf.inv_spacing)
     tolerance = LOOKALIKE * default_tolerance(obj.points_O)
-    turns, axis = _turns(find_symmetry(obj.points_O, obj.sdf, tolerance_m=tolerance))
+    turns, axis = _turns(_look_alikes(obj, tolerance))
     symmetries = np.ascontiguousarray(turns[:, :3, :3])
     rests = _rest_directions(obj)
     return PoseModel(
@@ -120,7 +121,6 @@ def _prepare(obj: ObjectModel) -> PoseModel:
         turns=turns,
         same=_turns(obj.symmetry)[0],
         axis=axis,
-        is_round=obj.symmetry.continuous_axis is not None or len(obj.symmetry) > _BALL,
         is_ball=len(obj.symmetry) > _BALL,
     )
 
@@ -132,6 +132,18 @@ def sphere_directions(count: int) -> np.ndarray:
     angle = np.pi * (1.0 + 5.0**0.5) * i
     r = np.sqrt(1.0 - z * z)
     return np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def _look_alikes(obj: ObjectModel, tolerance_m: float) -> SymmetryGroup:
+    """The symmetry within a wide tolerance; of a nearly round object (a mug) its own: its angle must be searched."""
+    wide = find_symmetry(obj.points_O, obj.sdf, tolerance_m=tolerance_m)
+    if _is_round(wide) and not _is_round(obj.symmetry):
+        return obj.symmetry
+    return wide if len(obj.symmetry) <= _BALL else obj.symmetry
+
+
+def _is_round(symmetry: SymmetryGroup) -> bool:
+    return symmetry.continuous_axis is not None or len(symmetry) > _BALL
 
 
 def _turns(symmetry: SymmetryGroup) -> tuple[np.ndarray, np.ndarray]:

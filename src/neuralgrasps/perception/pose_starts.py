@@ -43,7 +43,7 @@ def resting_rotations(model: PoseModel, normal: np.ndarray, yaw_steps: int) -> n
     found = []
     for down in model.rest_starts:
         upright = basis @ turns @ _towards(-down).T
-        is_round = model.is_round and abs(float(model.axis @ down)) > 0.999
+        is_round = model.axis.any() and abs(float(model.axis @ down)) > 0.999
         found.append(upright[:1] if is_round else upright)
     return np.concatenate(found)
 
