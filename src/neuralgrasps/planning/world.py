@@ -1,0 +1,57 @@
+"""What is around a robot, for planning; everything in the robot base frame B."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from neuralgrasps.errors import check_shape
+from neuralgrasps.objects.object_model import ObjectModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoxObstacle:
+    """A solid box. X_BX: (4, 4) its centre frame in B; half: (3,) half extents, metres; name: for messages."""
+
+    name: str
+    X_BX: np.ndarray
+    half: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlacedObject:
+    """An object of known shape at X_BO (4, 4)."""
+
+    obj: ObjectModel
+    X_BO: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanningWorld:
+    """Obstacles of one scene.
+
+    Attributes:
+        boxes: the table top and whatever else is a box.
+        target: the object to be grasped: an obstacle until the hand closes, carried afterwards.
+        objects: other objects of known shape and pose.
+        cloud_B: (M, 3) observed points of things nobody knows, metres; without points of the robot, of the table, and
+            of the objects above.
+    """
+
+    boxes: tuple[BoxObstacle, ...] = ()
+    target: PlacedObject | None = None
+    objects: tuple[PlacedObject, ...] = ()
+    cloud_B: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        check_shape("cloud_B", np.shape(self.cloud_B), (None, 3))
+
+
+def table_box(
+    height_m: float, *, centre: tuple[float, float], size: tuple[float, float], thickness_m: float = 0.04
+) -> BoxObstacle:
+    """A level table top: its upper face at `height_m` above B, middle and size along x and y in metres."""
+    X = np.eye(4)
+    X[:3, 3] = [*centre, height_m - thickness_m / 2]
+    return BoxObstacle(name="table", X_BX=X, half=np.array([size[0] / 2, size[1] / 2, thickness_m / 2]))
