@@ -32,6 +32,7 @@ from neuralgrasps.sim.build import (
     object_mass,
 )
 from neuralgrasps.sim.protocols import Protocol, get_protocol
+from neuralgrasps.sim.robot_bodies import free_pose
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIRECTIONS_O = np.concatenate([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]]  # +x, -x, +y, -y, +z, -z
@@ -185,13 +186,7 @@ class GraspTrial:
 
     def object_pose(self, data: mujoco.MjData) -> np.ndarray:
         """X_HO (4, 4) in this state."""
-        X_HO = np.eye(4)
-        at = self._object_qpos
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, data.qpos[at + 3 : at + 7])
-        X_HO[:3, :3] = rotation.reshape(3, 3)
-        X_HO[:3, 3] = data.qpos[at : at + 3]
-        return X_HO
+        return free_pose(data.qpos[self._object_qpos : self._object_qpos + 7])
 
     def _reset(self, X_OH: np.ndarray, q: np.ndarray) -> float:
         """Put hand and object at the pre-grasp; returns their deepest overlap, metres."""
