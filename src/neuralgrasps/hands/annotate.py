@@ -29,7 +29,7 @@ from neuralgrasps.hands.efforts import limit_efforts
 from neuralgrasps.hands.followers import branch_doubts, counted_fingers
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.jaws import has_jaw_motion, jaw_pad
-from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes, palm_frame
+from neuralgrasps.hands.notes import FingerNotes, HandNotes, JointNotes
 from neuralgrasps.hands.opening import lean_outwards
 from neuralgrasps.hands.radial import RadialHand, radial_hand
 from neuralgrasps.hands.thumb import (
@@ -41,6 +41,7 @@ from neuralgrasps.hands.thumb import (
     oppose_thumb,
     own_dofs,
 )
+from neuralgrasps.kinematics.notes_table import frame_from_axes
 from neuralgrasps.kinematics.tree import KinematicTree
 
 HALF_CLOSED = 0.5
@@ -147,7 +148,9 @@ def _from_symmetry(model: MovableHand, radial: RadialHand, given: HandNotes) -> 
         middle = (
             radial.centre_H + ((model.palm_centre(radial.q_open) - radial.centre_H) @ radial.axis_H) * radial.axis_H
         )
-        X_HP = palm_frame(_on_palm(model, radial.q_open, middle, radial.axis_H), -radial.radial_H[0], radial.axis_H)
+        X_HP = frame_from_axes(
+            _on_palm(model, radial.q_open, middle, radial.axis_H), -radial.radial_H[0], radial.axis_H
+        )
     guessed = {}
     for j, name in enumerate(tree.dof_names):
         start, end = radial.q_open[j], radial.q_open[j] + PRESHAPE_SHARE * (radial.q_closed - radial.q_open)[j]
@@ -232,7 +235,7 @@ def _palm(
         along = np.eye(3)[int(np.argmin(np.abs(normal)))]
     if motion.sum(axis=0) @ along < 0:
         along = -along
-    return palm_frame(origin, along, normal)
+    return frame_from_axes(origin, along, normal)
 
 
 def _on_palm(model: MovableHand, q: np.ndarray, point_H: np.ndarray, normal: np.ndarray) -> np.ndarray:

@@ -23,6 +23,18 @@ def find_hand(name: str, outline: RobotOutline) -> str | None:
     Raises:
         RobotDescriptionError: the robot has several hands.
     """
+    links = hand_links(outline)
+    if len(links) > 1:
+        listed = ", ".join(f"'{n}'" for n in links)
+        raise RobotDescriptionError(
+            f"robot '{name}' has {len(links)} hands, on the links {listed}; choose one: 'hands check --link "
+            f"{links[0]}', or link='{links[0]}' in Python."
+        )
+    return links[0] if links else None
+
+
+def hand_links(outline: RobotOutline) -> list[str]:
+    """The links from which the hands of a whole robot hang; none where the file describes just a hand."""
     tree, body = outline.tree, rigid_bodies(outline.tree)
     branches = _branches(outline, body)
     reach = _reach(tree, outline.has_shape)
@@ -30,19 +42,10 @@ def find_hand(name: str, outline: RobotOutline) -> str | None:
     above = {b: sum(b != c and _descends(tree, b, c) for c in forks) for b in forks}
     top = [b for b in forks if above[b] == 0]
     if len(top) == 1 and reach[top[0]] <= HAND_REACH and _joints_before(tree, body, top[0]) <= WRIST_JOINTS:
-        return None
+        return []
     hands = [b for b in forks if reach[b] <= HAND_REACH]
     hands = [b for b in hands if not any(b != c and _descends(tree, b, c) for c in hands)]
-    if not hands:
-        return None
-    links = [tree.link_names[_lowest_link(outline, body, b, branches[b])] for b in hands]
-    if len(links) > 1:
-        listed = ", ".join(f"'{n}'" for n in links)
-        raise RobotDescriptionError(
-            f"robot '{name}' has {len(links)} hands, on the links {listed}; choose one: 'hands check --link "
-            f"{links[0]}', or link='{links[0]}' in Python."
-        )
-    return links[0]
+    return [tree.link_names[_lowest_link(outline, body, b, branches[b])] for b in hands]
 
 
 def _branches(outline: RobotOutline, body: np.ndarray) -> dict[int, list[int]]:

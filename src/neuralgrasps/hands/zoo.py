@@ -65,26 +65,40 @@ def load_hand(name_or_path: str | Path, *, link: str | None = None, missing_mesh
     """
     if isinstance(name_or_path, str) and name_or_path in _HANDS:
         return _load_file(hand_folder(name_or_path) / "hand.xml", link, missing_meshes)
+    return _load_file(robot_file(name_or_path, kind="hand", built_in=_HANDS), link, missing_meshes)
+
+
+def robot_file(name_or_path: str | Path, *, kind: str, built_in: Sequence[str]) -> Path:
+    """The robot file that a path stands for; of a folder its `<kind>.xml`, or the only URDF or MJCF in it.
+
+    Args:
+        kind: what is wanted, "hand" or "arm"; `built_in`: names that need no file, for the message.
+    Raises:
+        UnknownNameError: looks like a name and is none.
+        RobotDescriptionError: no such file, or a folder without one robot file.
+    """
     path = Path(name_or_path)
     if path.is_dir():
-        path = _only_robot_file(path)
+        path = _only_robot_file(path, kind)
     if path.is_file():
-        return _load_file(path, link, missing_meshes)
-    raise _not_found(str(name_or_path))
+        return path
+    raise _not_found(str(name_or_path), kind, built_in)
 
 
-def _not_found(name: str) -> Exception:
+def _not_found(name: str, kind: str, built_in: Sequence[str]) -> Exception:
     if name.endswith((".urdf", ".xml", ".mjcf")) or "/" in name or "\\" in name:
         folder = Path(name).parent
         near = difflib.get_close_matches(Path(name).name, [p.name for p in folder.glob("*")], n=1)
         hint = f" Did you mean '{folder / near[0]}'?" if near else ""
-        return RobotDescriptionError(f"hand file '{name}' does not exist.{hint} Built-in hands: {', '.join(_HANDS)}.")
-    return unknown_name("hand", name, _HANDS)
+        return RobotDescriptionError(
+            f"{kind} file '{name}' does not exist.{hint} Built-in {kind}s: {', '.join(built_in)}."
+        )
+    return unknown_name(kind, name, built_in)
 
 
-def _only_robot_file(folder: Path) -> Path:
-    if (folder / "hand.xml").is_file():
-        return folder / "hand.xml"
+def _only_robot_file(folder: Path, kind: str) -> Path:
+    if (folder / f"{kind}.xml").is_file():
+        return folder / f"{kind}.xml"
     found = sorted(p for p in folder.iterdir() if p.suffix.lower() in (".urdf", ".xml", ".mjcf"))
     if len(found) != 1:
         listed = f"{len(found)} robot files ({', '.join(p.name for p in found[:5])})" if found else "no robot file"
@@ -102,17 +116,19 @@ def _load_file(path: Path, link: str | None, missing_meshes: MissingMeshes) -> H
 
 def _hand_only(path: Path, missing_meshes: MissingMeshes) -> RobotDescription:
     """The file's hand: all of it, or of a whole robot the limb that is one."""
-    is_urdf = read_xml(path, root_tag=None, kind="robot").tag == "robot"
-    whole = None if is_urdf else load_robot(path)
-    link = find_hand(path.stem, outline_urdf(path) if whole is None else _outline(whole))
+    link = find_hand(path.stem, outline_robot(path))
     if link is None:
-        return whole or load_robot(path, missing_meshes=missing_meshes)
+        return load_robot(path, missing_meshes=missing_meshes)
     limb = load_robot(path, link=link, missing_meshes=missing_meshes)
     remark = f"the file holds a whole robot: link '{link}' and what hangs on it was taken for the hand."
     return replace(limb, name=f"{limb.name}_{link}", repairs=(remark, *limb.repairs))
 
 
-def _outline(description: RobotDescription) -> RobotOutline:
+def outline_robot(path: Path) -> RobotOutline:
+    """The tree of a URDF or MJCF file and which links have shapes; no mesh of a URDF is read."""
+    if read_xml(path, root_tag=None, kind="robot").tag == "robot":
+        return outline_urdf(path)
+    description = load_robot(path)
     has_shape = np.zeros(description.tree.num_links, bool)
     has_shape[[g.link for g in description.geometries]] = True
     return RobotOutline(tree=description.tree, has_shape=has_shape)

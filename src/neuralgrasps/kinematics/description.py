@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -55,6 +56,22 @@ class LinkInertial:
     com_L: np.ndarray
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JointDrive:
+    """What a file says on a joint that a hand does not need and an arm does; None where it says nothing.
+
+    Attributes:
+        lower, upper: limits as they are written, rad or metres; unlike the tree's, not mended.
+        velocity: largest speed, rad/s or m/s.
+        continuous: the joint turns without end.
+    """
+
+    lower: float | None = None
+    upper: float | None = None
+    velocity: float | None = None
+    continuous: bool = False
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobotDescription:
     """A robot file reduced to what the library uses.
@@ -66,6 +83,7 @@ class RobotDescription:
         inertials: one per link; None where the file gives no usable mass.
         repairs: plain sentences on everything that was mended, dropped or assumed while reading.
         source: the file.
+        drives: by name of joint.
     """
 
     name: str
@@ -74,6 +92,7 @@ class RobotDescription:
     inertials: tuple[LinkInertial | None, ...]
     repairs: tuple[str, ...]
     source: Path
+    drives: Mapping[str, JointDrive] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         links = self.tree.num_links

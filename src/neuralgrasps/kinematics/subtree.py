@@ -51,3 +51,32 @@ def cut_limb(
     if len(kept) < len(links):
         notes.append(f"only the {len(kept)} links from '{root}' outwards were read, of {len(links)}.")
     return [n for n in links if n in kept], inside
+
+
+def without_links_beyond(tree: KinematicTree, link: int) -> tuple[KinematicTree, np.ndarray]:
+    """The tree less everything that hangs on `link`, and the indices (K,) of the links that stay.
+
+    Joints of what was cut off go; a coupled one that stays keeps its leader.
+    """
+    beyond = np.zeros(tree.num_links, bool)
+    for i in range(link + 1, tree.num_links):
+        beyond[i] = tree.parents[i] == link or beyond[tree.parents[i]]
+    kept = np.flatnonzero(~beyond)
+    new_index = np.cumsum(~beyond) - 1
+    dofs = np.flatnonzero((tree.coupling[kept] != 0).any(axis=0))
+    parents = tree.parents[kept]
+    cut = KinematicTree(
+        link_names=tuple(tree.link_names[i] for i in kept),
+        parents=np.where(parents < 0, -1, new_index[parents]).astype(np.int32),
+        joint_names=tuple(tree.joint_names[i] for i in kept),
+        joint_types=tree.joint_types[kept],
+        X_parent_joint=tree.X_parent_joint[kept],
+        axes=tree.axes[kept],
+        coupling=tree.coupling[np.ix_(kept, dofs)],
+        offset=tree.offset[kept],
+        dof_names=tuple(tree.dof_names[d] for d in dofs),
+        lower=tree.lower[dofs],
+        upper=tree.upper[dofs],
+        effort=tree.effort[dofs],
+    )
+    return cut, kept

@@ -15,7 +15,7 @@ from neuralgrasps.errors import MeshError, RobotDescriptionError
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.se3_numpy import make_transform_np, rpy_matrix
 from neuralgrasps.kinematics.assemble import JointSpec, Mimic, build_tree
-from neuralgrasps.kinematics.description import GeometryKind, LinkGeometry, LinkInertial, RobotDescription
+from neuralgrasps.kinematics.description import GeometryKind, JointDrive, LinkGeometry, LinkInertial, RobotDescription
 from neuralgrasps.kinematics.safe_xml import read_xml
 from neuralgrasps.kinematics.subtree import RobotOutline, cut_limb
 from neuralgrasps.kinematics.tree import FIXED, PRISMATIC, REVOLUTE, KinematicTree
@@ -73,6 +73,7 @@ class _Reader:
     notes: list[str] = field(default_factory=list)
     continuous: list[str] = field(default_factory=list)
     lost_visuals: list[str] = field(default_factory=list)
+    drives: dict[str, JointDrive] = field(default_factory=dict)
     meshes: MeshFinder = field(init=False)
     colours: dict[str, Colour] = field(init=False)
 
@@ -125,6 +126,7 @@ class _Reader:
             inertials=inertials,
             repairs=tuple(dict.fromkeys(self.notes)),
             source=self.path,
+            drives={name: self.drives[name] for name in tree.dof_names},
         )
 
     # -- links ---------------------------------------------------------------
@@ -243,8 +245,10 @@ class _Reader:
         name = self._attribute(element, "name", "a joint")
         where = f"joint '{name}'"
         joint_type = self._joint_type(element, where)
-        lower, upper, effort = self._limits(element, where)
-        if element.get("type") == "continuous":
+        lower, upper, effort, velocity = self._limits(element, where)
+        endless = element.get("type") == "continuous"
+        self.drives[name] = JointDrive(lower=lower, upper=upper, velocity=velocity, continuous=endless)
+        if endless:
             lower, upper = -math.pi, math.pi
             self.continuous.append(name)
         return JointSpec(
@@ -292,15 +296,18 @@ class _Reader:
             )
         return axis / length
 
-    def _limits(self, element: Element, where: str) -> tuple[float | None, float | None, float | None]:
+    def _limits(self, element: Element, where: str) -> tuple[float | None, ...]:
+        """Lower, upper, effort and velocity."""
         limit = element.find("limit")
         if limit is None:
-            return None, None, None
-        lower, upper, effort = (self._limit(limit, key, where) for key in ("lower", "upper", "effort"))
+            return None, None, None, None
+        lower, upper, effort, velocity = (
+            self._limit(limit, key, where) for key in ("lower", "upper", "effort", "velocity")
+        )
         if (lower is None) != (upper is None):  # the format's default for the absent one is 0
             self.notes.append(f"{where} gives only one of its two limits: the other is 0, as the format says.")
             lower, upper = lower or 0.0, upper or 0.0
-        return lower, upper, effort
+        return lower, upper, effort, velocity
 
     def _limit(self, element: Element, key: str, where: str) -> float | None:
         if element.get(key) is None:
