@@ -44,6 +44,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("retrieve",), "retrieve:retrieve", "grasps of any hand that hold an object alike"),
     Verb(("novel",), "novel:novel", "new grasps from codes near and between known ones, tried in physics"),
     Verb(("pose",), "pose:pose", "where an object is, from points or a depth image"),
+    Verb(("export",), "export:export", "grasps as MoveIt messages or isaac_grasp files"),
     Verb(("bench",), "bench:bench", "run a benchmark and print its figures"),
 )
 
