@@ -9,12 +9,13 @@ import numpy as np
 
 from neuralgrasps.arms.arm import Arm
 from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.geometry.se3_numpy import inverse_np, make_transform_np, rpy_matrix, transform_points_np
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.resting import resting_poses
-from neuralgrasps.planning.world import BoxObstacle, PlacedObject, table_box
+from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld, table_box
 from neuralgrasps.seeds import child_rng
 
 _NEAR, _FAR, _SIDE = 0.45, 0.80, 0.35  # the work area, in reaches of the arm from its shoulder
@@ -110,3 +111,23 @@ def _apart(a: PlacedObject, b: PlacedObject) -> bool:
 def _gap(a: PlacedObject, b: PlacedObject) -> float:
     points = transform_points_np(inverse_np(b.X_BO) @ a.X_BO, a.obj.points_O)
     return float(query_grid_numpy(b.obj.sdf, points).min())
+
+
+def table_plane(scene: TableScene) -> Plane:
+    """The table's top in B."""
+    X, half = scene.table.X_BX, scene.table.half
+    return Plane(np.array([0.0, 0.0, 1.0]), -float(X[2, 3] + half[2]))
+
+
+def scene_world(scene: TableScene, target: int | None, poses: Sequence[np.ndarray] | None = None) -> PlanningWorld:
+    """The scene as it truly is, for planning.
+
+    Args:
+        target: the object to pick; None: all are obstacles. poses: K poses X_BO instead of the drawn ones.
+    """
+    placed = [PlacedObject(obj=p.obj, X_BO=p.X_BO if poses is None else poses[k]) for k, p in enumerate(scene.objects)]
+    return PlanningWorld(
+        boxes=(scene.table,),
+        target=None if target is None else placed[target],
+        objects=tuple(p for k, p in enumerate(placed) if k != target),
+    )

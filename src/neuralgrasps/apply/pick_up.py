@@ -1,0 +1,238 @@
+"""Picking one object up with any `Robot`: look, estimate its pose, choose grasps, plan, move, close, lift, hold."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from neuralgrasps.apply.robot import Robot
+from neuralgrasps.apply.sight import Sighting, TableView, locate, view_table
+from neuralgrasps.arms.manipulator import Manipulator
+from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.planning.collision import CollisionChecker, unexplained_cloud
+from neuralgrasps.planning.path import plan_path
+from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
+from neuralgrasps.planning.table_grasps import grasps_on_table
+from neuralgrasps.planning.timing import time_path
+from neuralgrasps.planning.world import PlacedObject, PlanningWorld
+
+PoseEstimator = Callable[[ObjectModel, TableView, Sighting], np.ndarray]
+"""Another estimate of X_BO in place of ours: (object, view, our sighting) -> X_BO (4, 4)."""
+PoseRefiner = Callable[[ObjectModel, TableView, Sighting, np.ndarray], np.ndarray]
+"""A second estimate, once a grasp is planned: the last argument is its X_BH (4, 4)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickUpConfig:
+    """How an object is picked up.
+
+    Attributes:
+        plan: of the motion. want: grasps that clear the table; more are made when fewer are stored.
+        settle_s: pause before closing. close_s: time of closing; force: share of the hand's effort limits.
+        hold_s: how long the object is held up.
+    """
+
+    plan: PickConfig = field(default_factory=PickConfig)
+    want: int = 40
+    settle_s: float = 0.3
+    close_s: float = 1.2
+    force: float = 1.0
+    hold_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PickProposal:
+    """What a look led to: the plan, or why there is none.
+
+    Attributes:
+        frame: what was seen; None when nothing was looked at. view, sighting: what was made of it.
+        X_BO: (4, 4) the pose that was planned with, or None. world: what was planned in.
+        result: of the planner. reason: why there is no plan, "" when there is.
+        look_cpu_s, grasps_cpu_s: CPU-seconds of looking and of finding grasps that clear the table.
+    """
+
+    frame: Frame | None
+    view: TableView | None
+    sighting: Sighting | None
+    X_BO: np.ndarray | None
+    world: PlanningWorld | None
+    result: PickResult | None
+    reason: str
+    look_cpu_s: float
+    grasps_cpu_s: float
+
+    @property
+    def plan(self) -> PickPlan | None:
+        return None if self.result is None else self.result.plan
+
+
+def propose_pick(
+    robot: Robot,
+    obj: ObjectModel,
+    *,
+    grasps: GraspSet | None,
+    others: Sequence[ObjectModel] = (),
+    estimator: PoseEstimator | None = None,
+    refiner: PoseRefiner | None = None,
+    config: PickUpConfig | None = None,
+    seed: int = 0,
+) -> PickProposal:
+    """Look, find the object, and plan; nothing moves.
+
+    Args:
+        grasps: stored grasps of the object by the robot's hand; None: all are made on the spot.
+        others: further objects that may stand there.
+        estimator: another pose estimate in place of `estimate_pose`'s. refiner: asked once a grasp is planned; with its
+            pose the motion is planned again.
+    """
+    config, cpu = config or PickUpConfig(), time.thread_time()
+    state, frame = robot.state(), robot.look()
+    q = robot.manipulator.full_q(state.q_arm, state.q_hand)
+    try:
+        view = view_table(frame, robot.manipulator, q, seed=seed)
+    except InputError as error:
+        return _nothing(frame, None, None, str(error), time.thread_time() - cpu)
+    sighting = locate(view, obj, others=others, seed=seed)
+    if sighting.X_BO is None:
+        return _nothing(frame, view, sighting, sighting.reason, time.thread_time() - cpu)
+    X_BO = sighting.X_BO if estimator is None else estimator(obj, view, sighting)
+    looked = time.thread_time() - cpu
+    world = _world(robot.manipulator, q, obj, X_BO, view, sighting)
+    result, reason, made = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
+    if refiner is not None and result is not None and result.plan is not None:
+        cpu = time.thread_time()
+        X_BO = refiner(obj, view, sighting, result.plan.X_BH)
+        looked += time.thread_time() - cpu
+        world = _world(robot.manipulator, q, obj, X_BO, view, sighting)
+        result, reason, again = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
+        made += again
+    return PickProposal(
+        frame=frame, view=view, sighting=sighting, X_BO=X_BO, world=world, result=result, reason=reason,
+        look_cpu_s=looked, grasps_cpu_s=made,
+    )  # fmt: skip
+
+
+def plan_in(
+    manipulator: Manipulator,
+    world: PlanningWorld,
+    table_B: Plane,
+    q_arm: np.ndarray,
+    stored: GraspSet | None,
+    config: PickUpConfig,
+    seed: int,
+) -> tuple[PickResult | None, str, float]:
+    """The plan among grasps that clear the table, why there is none, and the CPU-seconds of finding such grasps."""
+    assert world.target is not None
+    cpu = time.thread_time()
+    on_table = grasps_on_table(
+        manipulator.hand, world.target.obj, table_B.moved(np.linalg.inv(world.target.X_BO)), stored=stored, want=config.want,
+        seed=seed,
+    )  # fmt: skip
+    made = time.thread_time() - cpu
+    if len(on_table.grasps) == 0:
+        return None, f"no grasp clears the table: {on_table.reason}", made
+    result = plan_pick(manipulator, on_table.grasps, world, q_arm, config=config.plan, seed=seed)
+    return result, result.reason, made
+
+
+def _world(
+    manipulator: Manipulator, q: np.ndarray, obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting
+) -> PlanningWorld:
+    world = PlanningWorld(
+        boxes=(view.box,), target=PlacedObject(obj=obj, X_BO=X_BO), objects=sighting.others,
+        cloud_B=np.zeros((0, 3)),
+    )  # fmt: skip
+    if sighting.unknown_B is None or not len(sighting.unknown_B):
+        return world
+    cloud = unexplained_cloud(sighting.unknown_B, manipulator, world, q)
+    return PlanningWorld(boxes=world.boxes, target=world.target, objects=world.objects, cloud_B=cloud)
+
+
+def _nothing(
+    frame: Frame, view: TableView | None, sighting: Sighting | None, reason: str, cpu_s: float
+) -> PickProposal:
+    return PickProposal(
+        frame=frame, view=view, sighting=sighting, X_BO=None, world=None, result=None, reason=reason,
+        look_cpu_s=cpu_s, grasps_cpu_s=0.0,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """One step of a pick: its name, and what the robot does."""
+
+    name: str
+    run: Callable[[Robot], None]
+
+
+def pick_steps(plan: PickPlan, config: PickUpConfig) -> Iterator[Step]:
+    """The steps of a plan in their order: open, transfer, approach, close, lift, hold."""
+    yield Step(name="open", run=lambda robot: robot.move_hand(plan.q_pregrasp, duration_s=0.5))
+    yield Step(name="transfer", run=lambda robot: robot.execute(plan.transfer))
+    yield Step(name="approach", run=lambda robot: (robot.execute(plan.approach), robot.wait(config.settle_s))[0])
+    yield Step(
+        name="close",
+        run=lambda robot: robot.move_hand(plan.q_squeeze, duration_s=config.close_s, force=config.force),
+    )
+    yield Step(name="lift", run=lambda robot: robot.execute(plan.lift))
+    yield Step(name="hold", run=lambda robot: robot.wait(config.hold_s))
+
+
+def carry_out(robot: Robot, plan: PickPlan, *, config: PickUpConfig | None = None) -> None:
+    """Do all steps of a plan."""
+    for step in pick_steps(plan, config or PickUpConfig()):
+        step.run(robot)
+
+
+def pick_up(
+    robot: Robot,
+    obj: ObjectModel,
+    *,
+    grasps: GraspSet | None = None,
+    others: Sequence[ObjectModel] = (),
+    config: PickUpConfig | None = None,
+    seed: int = 0,
+) -> PickProposal:
+    """Look, plan and, when there is a plan, carry it out; the robot does not move otherwise.
+
+    Arguments as for `propose_pick`. Whether the object is held is for the robot's owner to check.
+    """
+    proposal = propose_pick(robot, obj, grasps=grasps, others=others, config=config, seed=seed)
+    if proposal.plan is not None:
+        carry_out(robot, proposal.plan, config=config)
+    return proposal
+
+
+def go_home(robot: Robot, world: PlanningWorld, *, speed: float = 0.7, seed: int = 0) -> str:
+    """Open the hand and move the arm back to its home; why it did not, or "".
+
+    Args:
+        world: what is around, with no target in the hand.
+    """
+    manipulator = robot.manipulator
+    q_open = manipulator.hand.q_open
+    robot.move_hand(q_open, duration_s=0.5)
+    state = robot.state()
+    path = plan_path(
+        CollisionChecker.of(manipulator, world).for_transfer(q_open), state.q_arm,
+        manipulator.q_home[manipulator.arm_dofs][None], seed=seed,
+    )  # fmt: skip
+    if not path.solved:
+        return path.reason
+    robot.execute(
+        time_path(
+            path.q,
+            joint_names=manipulator.arm_names,
+            velocity=manipulator.velocity,
+            acceleration=manipulator.acceleration,
+            speed=speed,
+        )  # fmt: skip
+    )
+    return ""

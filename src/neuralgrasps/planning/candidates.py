@@ -1,0 +1,137 @@
+"""Which stored grasps can be used in a scene, and in which order to try them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from neuralgrasps.arms.manipulator import Manipulator
+from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.surface import sample_hand_surface
+from neuralgrasps.kinematics.forward_kernels import forward_fast
+from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
+
+_SPACING_M = 0.012  # of the hand points of this first, coarse test; what passes is checked exactly later
+_WIDEST = 0.97  # share of a jaw's opening that an object may fill
+_FULL_CLEARANCE_M = 0.02  # more of it is not better
+_LEVER_M = 0.05  # a centre of mass so far from a jaw's axis costs as much as the best clearance gives
+_WEIGHTS = {"clearance": 1.0, "epsilon": 0.5, "lever": 1.0, "room": 0.5, "shake": 1.0, "preference": 1.0}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RankedCandidates:
+    """Candidates of one scene, best first.
+
+    Attributes:
+        index: (K,) into the grasps that were ranked.
+        score: (K,) falling; clearance_m: (K,) of the hand, open and closed, to boxes and other objects, at points
+            12 mm apart.
+        dropped: how many fell out, by reason.
+    """
+
+    index: np.ndarray
+    score: np.ndarray
+    clearance_m: np.ndarray
+    dropped: dict[str, int]
+
+
+def rank_candidates(
+    manipulator: Manipulator,
+    grasps: GraspSet,
+    world: PlanningWorld,
+    *,
+    clearance_m: float,
+    preference: np.ndarray | None = None,
+) -> RankedCandidates:
+    """Drop grasps that the scene rules out and order the others.
+
+    The score sums: clearance, saturating at 2 cm; epsilon; for jaws room beside the object, less the lever of gravity
+    about the line between the pads; whether the object's own weight was held in the "shake" trial, where that is known;
+    and the caller's preference.
+
+    Args:
+        grasps: of `world.target`. clearance_m: least distance of the hand to boxes and other objects.
+        preference: (N,) 0 to 1, larger is better, as a retrieval gives it; None: no preference.
+    """
+    target = world.target
+    assert target is not None
+    hand = manipulator.hand
+    X_BH = target.X_BO @ grasps.X_OH
+    clearance = _clearance(hand, X_BH, grasps, world)
+    fits = _fits(hand, grasps)
+    clear = clearance >= clearance_m
+    kept = np.flatnonzero(fits & clear)
+    score = _score(hand, grasps, target, X_BH, clearance, preference)
+    order = kept[np.argsort(-score[kept], kind="stable")]
+    dropped = {"too wide for the jaw": int((~fits).sum()), "hand hits what is around": int((fits & ~clear).sum())}
+    return RankedCandidates(index=order, score=score[order], clearance_m=clearance[order], dropped=dropped)
+
+
+def _fits(hand: Hand, grasps: GraspSet) -> np.ndarray:
+    """(N,) whether the object leaves room in an open jaw."""
+    if not hand.is_jaw:
+        return np.ones(len(grasps), bool)
+    return np.asarray(_opening(hand, grasps.q) <= _WIDEST)
+
+
+def _opening(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(N,) how far a jaw is open, 0 closed to 1 open."""
+    moving = hand.closing_rate != 0
+    closed = np.where(hand.closing_rate < 0, hand.tree.lower, hand.tree.upper)[moving]
+    span = hand.q_open[moving] - closed
+    return np.asarray(((q[:, moving] - closed) / span).mean(axis=1))
+
+
+def _score(
+    hand: Hand,
+    grasps: GraspSet,
+    target: PlacedObject,
+    X_BH: np.ndarray,
+    clearance: np.ndarray,
+    preference: np.ndarray | None,
+) -> np.ndarray:
+    score = _WEIGHTS["clearance"] * np.clip(clearance / _FULL_CLEARANCE_M, 0.0, 1.0)
+    score = score + _WEIGHTS["epsilon"] * grasps.epsilon
+    if hand.is_jaw:
+        score += _WEIGHTS["room"] * (1.0 - _opening(hand, grasps.q))
+        score -= _WEIGHTS["lever"] * gravity_lever(hand, target, X_BH) / _LEVER_M
+    if "shake" in grasps.verdicts:
+        score += _WEIGHTS["shake"] * grasps.verdicts["shake"].success
+    if preference is not None:
+        score += _WEIGHTS["preference"] * np.asarray(preference, float)
+    return np.asarray(score)
+
+
+def gravity_lever(hand: Hand, target: PlacedObject, X_BH: np.ndarray) -> np.ndarray:
+    """(N,) lever arm, metres, of the object's weight about the line through a jaw's pads; 0 below or above the line."""
+    axis = X_BH[:, :3, :3] @ hand.X_HP[:3, 0]
+    pad = transform_points_np(X_BH, hand.jaw_pad_H[None])[:, 0]
+    com = target.X_BO[:3, :3] @ target.obj.com_O + target.X_BO[:3, 3]
+    return np.asarray(np.abs((np.cross(com - pad, [0.0, 0.0, 1.0]) * axis).sum(axis=1)))
+
+
+def _clearance(hand: Hand, X_BH: np.ndarray, grasps: GraspSet, world: PlanningWorld) -> np.ndarray:
+    """(N,) least distance of the hand at its pre-grasp and grasp postures to boxes and other objects."""
+    surface = sample_hand_surface(hand, spacing=_SPACING_M)
+    least = np.full(len(grasps), np.inf)
+    for q in (grasps.q_pregrasp, grasps.q):
+        X_BL = X_BH[:, None] @ forward_fast(hand.tree, q)
+        X = X_BL[:, surface.links]
+        points_B = np.einsum("nkij,kj->nki", X[..., :3, :3], surface.points_L) + X[..., :3, 3]
+        for box in world.boxes:
+            least = np.minimum(least, _box_distance(box, points_B).min(axis=1))
+        for other in world.objects:
+            points_O = transform_points_np(inverse_np(other.X_BO), points_B.reshape(-1, 3))
+            distance = query_grid_numpy(other.obj.sdf, points_O).reshape(points_B.shape[:2])
+            least = np.minimum(least, distance.min(axis=1))
+    return least
+
+
+def _box_distance(box: BoxObstacle, points_B: np.ndarray) -> np.ndarray:
+    """Signed distance (...) of points (..., 3) to a box."""
+    outside = np.abs((points_B - box.X_BX[:3, 3]) @ box.X_BX[:3, :3]) - box.half
+    return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0))

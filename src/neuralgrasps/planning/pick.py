@@ -1,0 +1,274 @@
+"""From stored grasps to one complete motion: transfer, straight approach, straight lift."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from neuralgrasps.arms.manipulator import Manipulator
+from neuralgrasps.arms.trajectory import Trajectory
+from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.planning.candidates import RankedCandidates, rank_candidates
+from neuralgrasps.planning.collision import CollisionChecker
+from neuralgrasps.planning.ik import IkSolver
+from neuralgrasps.planning.path import PathConfig, plan_path
+from neuralgrasps.planning.straight import follow_line, line_path
+from neuralgrasps.planning.timing import time_path
+from neuralgrasps.planning.world import PlanningWorld
+from neuralgrasps.seeds import child_seed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickConfig:
+    """How a pick is planned.
+
+    Attributes:
+        standoff_m: length of the straight approach along the hand's approach axis; steps: waypoints on it.
+        lift_m: height of the straight lift.
+        clearance_m: least distance of the hand to the table and other objects at the grasp.
+        solutions: arm postures tried per grasp. max_grasps: grasps tried; None: all.
+        time_limit_s: no further grasp is begun after so long. Below it the result depends on the seed only.
+        speed: share of the velocity limits for the transfer; accelerations are scaled by its square.
+        approach_speed, lift_speed: of the hand, m/s.
+        path: of the path planner.
+    """
+
+    standoff_m: float = 0.10
+    steps: int = 10
+    lift_m: float = 0.20
+    clearance_m: float = 0.004
+    solutions: int = 6
+    max_grasps: int | None = None
+    time_limit_s: float = 5.0
+    speed: float = 0.7
+    approach_speed: float = 0.08
+    lift_speed: float = 0.12
+    path: PathConfig = PathConfig()
+
+    def __post_init__(self) -> None:
+        for name in ("standoff_m", "lift_m", "time_limit_s", "speed", "approach_speed", "lift_speed"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"pick: {name} is {getattr(self, name)}; expected a positive number.")
+        for name in ("steps", "solutions"):
+            if getattr(self, name) < 1:
+                raise InputError(f"pick: {name} is {getattr(self, name)}; expected at least 1.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PickPlan:
+    """One complete motion.
+
+    Attributes:
+        grasp: the grasp, a set of one; index: its place among the grasps that were given.
+        X_BH: (4, 4) hand base at the grasp.
+        transfer, approach, lift: from the start to the standoff, on to the grasp, up.
+        q_pregrasp, q_grasp, q_squeeze: (J,) hand postures before, at and after closing.
+        clearance_m: of the hand to the table and other objects.
+    """
+
+    grasp: GraspSet
+    index: int
+    X_BH: np.ndarray
+    transfer: Trajectory
+    approach: Trajectory
+    lift: Trajectory
+    q_pregrasp: np.ndarray
+    q_grasp: np.ndarray
+    q_squeeze: np.ndarray
+    clearance_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PickResult:
+    """What `plan_pick` found.
+
+    Attributes:
+        plan: the plan, or None. reason: why there is none, "" otherwise.
+        counts: how many grasps, or arm postures, ended at which step.
+        tried: grasps that were begun. complete: all grasps were tried or a plan was found (no limit cut it short).
+        cpu_s: CPU-seconds of this thread. seed: the seed.
+    """
+
+    plan: PickPlan | None
+    reason: str
+    counts: Mapping[str, int]
+    tried: int
+    complete: bool
+    cpu_s: float
+    seed: int
+
+
+def plan_pick(
+    manipulator: Manipulator,
+    grasps: GraspSet,
+    world: PlanningWorld,
+    q_start: np.ndarray,
+    *,
+    config: PickConfig | None = None,
+    preference: np.ndarray | None = None,
+    seed: int = 0,
+) -> PickResult:
+    """Walk the grasps from best to worst, to the first with a complete motion.
+
+    For each: arm postures at the grasp (inverse kinematics), straight retreat and lift by continuation, every step
+    checked, and a collision-free path from the start to the standoff.
+
+    Args:
+        grasps: of `world.target` by the manipulator's hand. q_start: (D,) planned joints now.
+        preference: (N,) see `rank_candidates`.
+    Raises:
+        InputError: no grasps, grasps of another hand or object, no target, a start outside the limits.
+    """
+    config = config or PickConfig()
+    q_start = np.asarray(q_start, float)
+    _check(manipulator, grasps, world, q_start)
+    return _Walk(manipulator, grasps, world, q_start, config, seed).run(preference)
+
+
+def _check(manipulator: Manipulator, grasps: GraspSet, world: PlanningWorld, q_start: np.ndarray) -> None:
+    if world.target is None:
+        raise InputError("the planning world has no target; set PlanningWorld.target to the object to pick.")
+    if len(grasps) == 0:
+        raise InputError(
+            f"the list of grasps of '{grasps.object}' by '{grasps.hand}' is empty; make some with synthesise."
+        )
+    if grasps.hand != manipulator.hand.name or grasps.object != world.target.obj.name:
+        raise InputError(
+            f"grasps are of '{grasps.object}' by '{grasps.hand}', but the robot '{manipulator.name}' should pick "
+            f"'{world.target.obj.name}'; give grasps of that pair."
+        )
+    check_shape("q_start", q_start.shape, (len(manipulator.arm_dofs),))
+    outside = (q_start < manipulator.lower - 1e-6) | (q_start > manipulator.upper + 1e-6) | ~np.isfinite(q_start)
+    if outside.any():
+        listed = ", ".join(
+            f"{manipulator.arm_names[j]} {q_start[j]:.3f} not in {manipulator.lower[j]:.3f}..{manipulator.upper[j]:.3f}"
+            for j in np.flatnonzero(outside)
+        )
+        raise InputError(f"the start of robot '{manipulator.name}' is outside its joint limits: {listed}.")
+
+
+class _Walk:
+    """The state of one `plan_pick`."""
+
+    def __init__(
+        self,
+        manipulator: Manipulator,
+        grasps: GraspSet,
+        world: PlanningWorld,
+        q_start: np.ndarray,
+        config: PickConfig,
+        seed: int,
+    ) -> None:
+        assert world.target is not None
+        self.manipulator, self.grasps, self.world = manipulator, grasps, world
+        self.q_start, self.config, self.seed = q_start, config, seed
+        self.target = world.target
+        self.solver = IkSolver.of(manipulator)
+        self.counts: Counter[str] = Counter()
+        self.hand = manipulator.hand
+        self.checker = CollisionChecker.of(manipulator, world)
+
+    def run(self, preference: np.ndarray | None) -> PickResult:
+        cpu, wall = time.thread_time(), time.perf_counter()
+        touching = self.checker.for_transfer(self.manipulator.q_home[self.manipulator.hand_dofs]).describe(self.q_start)
+        if touching:
+            return self._result(None, f"the arm's start is in collision: {touching}.", 0, True, cpu)
+        ranked = rank_candidates(
+            self.manipulator, self.grasps, self.world, clearance_m=self.config.clearance_m, preference=preference
+        )
+        self.counts.update(ranked.dropped)
+        plan, tried, complete = None, 0, True
+        for k in range(len(ranked.index)):
+            late = time.perf_counter() - wall > self.config.time_limit_s
+            if late or (self.config.max_grasps is not None and tried >= self.config.max_grasps):
+                complete = False
+                break
+            tried += 1
+            if (plan := self._try(ranked, k)) is not None:
+                break
+        return self._result(plan, "" if plan else self._why(ranked, complete), tried, complete, cpu)
+
+    def _result(self, plan: PickPlan | None, reason: str, tried: int, complete: bool, cpu: float) -> PickResult:
+        return PickResult(
+            plan=plan,
+            reason=reason,
+            counts={k: v for k, v in self.counts.items() if v},
+            tried=tried,
+            complete=complete,
+            cpu_s=time.thread_time() - cpu,
+            seed=self.seed,
+        )
+
+    def _why(self, ranked: RankedCandidates, complete: bool) -> str:
+        steps = ", ".join(f"{count} {what}" for what, count in self.counts.items() if count)
+        end = "" if complete else f" The limit of {self.config.time_limit_s:g} s or of grasps was reached."
+        return f"none of {len(self.grasps)} grasps has a complete motion: {steps}.{end}"
+
+    def _try(self, ranked: RankedCandidates, k: int) -> PickPlan | None:
+        index = int(ranked.index[k])
+        X_BH = self.target.X_BO @ self.grasps.X_OH[index]
+        postures = self.solver.solve(X_BH, q_near=self.q_start, max_solutions=self.config.solutions)
+        if len(postures) == 0:
+            self.counts["out of reach"] += 1
+            return None
+        q_open, q_closed = self.grasps.q_pregrasp[index], self.grasps.q[index]
+        approach_checker = self.checker.for_approach(q_open)
+        free = approach_checker.is_free(postures)
+        if not free.any():
+            self.counts["robot touches something at the grasp"] += 1
+            return None
+        lift_checker = self.checker.for_lift(q_closed, inverse_np(self.grasps.X_OH[index]))
+        transfer_checker = self.checker.for_transfer(q_open)
+        back = self._line(X_BH, -self.config.standoff_m * X_BH[:3, :3] @ self.hand.X_HP[:3, 2])
+        up = self._line(X_BH, np.array([0.0, 0.0, self.config.lift_m]))
+        ended = "no path to the standoff"
+        for attempt, q in enumerate(postures[free]):
+            retreat = follow_line(self.solver, q, back)
+            if not (retreat.complete and approach_checker.is_free(retreat.q).all()):
+                ended = "no straight approach"
+                continue
+            lift = follow_line(self.solver, q, up)
+            if not (lift.complete and lift_checker.is_free(lift.q).all()):
+                ended = "no straight lift"
+                continue
+            path = plan_path(
+                transfer_checker,
+                self.q_start,
+                retreat.q[-1:],
+                config=self.config.path,
+                seed=child_seed(self.seed, "path", index, attempt),
+            )
+            if path.solved:
+                return self._timed(index, X_BH, path.q, retreat.q[::-1], lift.q, float(ranked.clearance_m[k]))
+            ended = "no path to the standoff"
+        self.counts[ended] += 1
+        return None
+
+    def _line(self, X_BH: np.ndarray, shift_B: np.ndarray) -> np.ndarray:
+        end = X_BH.copy()
+        end[:3, 3] += shift_B
+        return line_path(X_BH, end, self.config.steps)
+
+    def _timed(
+        self, index: int, X_BH: np.ndarray, path: np.ndarray, approach: np.ndarray, lift: np.ndarray, clearance_m: float
+    ) -> PickPlan:
+        m, config = self.manipulator, self.config
+        limits = {"joint_names": m.arm_names, "velocity": m.velocity, "acceleration": m.acceleration}
+        return PickPlan(
+            grasp=self.grasps[index],
+            index=index,
+            X_BH=X_BH,
+            transfer=time_path(path, **limits, speed=config.speed),
+            approach=time_path(approach, **limits, hand_m=config.standoff_m, max_hand_speed=config.approach_speed),
+            lift=time_path(lift, **limits, hand_m=config.lift_m, max_hand_speed=config.lift_speed),
+            q_pregrasp=self.grasps.q_pregrasp[index],
+            q_grasp=self.grasps.q[index],
+            q_squeeze=self.grasps.q_squeeze[index],
+            clearance_m=clearance_m,
+        )
