@@ -38,8 +38,8 @@ CONTACTS_PER_LINK = 3
 MAX_ADVANCES = 60  # steps of an approach
 MAX_RESIDUAL = 1.0e-3  # N of net wrench per N of squeeze: what balanced contact forces may leave
 # Outcome of one candidate, from first to last obstacle.
-COLLIDES, FEW_CONTACTS, NO_FORCE_CLOSURE, PENETRATES, SELF_COLLIDES, VALID = range(6)
-OUTCOMES = ("collides", "few contacts", "no force closure", "penetrates", "self-collides", "valid")
+COLLIDES, FEW_CONTACTS, NO_FORCE_CLOSURE, PENETRATES, SELF_COLLIDES, VALID, MEETS_SUPPORT = range(7)
+OUTCOMES = ("collides", "few contacts", "no force closure", "penetrates", "self-collides", "valid", "meets the table")
 
 
 class Pair(NamedTuple):

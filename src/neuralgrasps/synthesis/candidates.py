@@ -18,6 +18,7 @@ from neuralgrasps.synthesis.assess import (
     CONE_EDGES,
     CONTACTS_PER_LINK,
     FEW_CONTACTS,
+    MEETS_SUPPORT,
     NO_FORCE_CLOSURE,
     OUTCOMES,
     PENETRATES,
@@ -33,12 +34,14 @@ from neuralgrasps.synthesis.prepared import prepare_hand, prepare_surface
 
 if TYPE_CHECKING:
     from neuralgrasps.synthesis.device import GpuPair
+    from neuralgrasps.synthesis.support import Support
 
 __all__ = [
     "COLLIDES",
     "CONE_EDGES",
     "CONTACTS_PER_LINK",
     "FEW_CONTACTS",
+    "MEETS_SUPPORT",
     "NO_FORCE_CLOSURE",
     "OUTCOMES",
     "PENETRATES",
@@ -88,7 +91,7 @@ class Candidates:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspProblem:
-    """One hand and one object, packed for the compiled kernels."""
+    """One hand and one object, packed for the compiled kernels; `support`: what the object lies on, if anything."""
 
     hand: Hand
     obj: ObjectModel
@@ -103,6 +106,7 @@ class GraspProblem:
     contact_threshold_m: float
     max_penetration_m: float
     device: Device = "cpu"
+    support: Support | None = None
     _gpu: dict[str, GpuPair] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -146,6 +150,7 @@ def make_problem(
     contact_threshold_m: float,
     max_penetration_m: float,
     device: Device = "cpu",
+    support: Support | None = None,
 ) -> GraspProblem:
     """Pack `hand` and `obj`.
 
@@ -155,6 +160,7 @@ def make_problem(
         friction: Coulomb coefficient; torsion: torsional friction, metres.
         contact_threshold_m, max_penetration_m: see `SynthesisConfig`.
         device: where hands are closed and judged, "cpu" or "cuda".
+        support: what the object lies on; hands that meet it are no grasps.
     Raises:
         DeviceError: the device is not known or not there.
     """
@@ -174,6 +180,7 @@ def make_problem(
         contact_threshold_m=contact_threshold_m,
         max_penetration_m=max_penetration_m,
         device=device,
+        support=support,
     )
 
 
@@ -213,6 +220,10 @@ def _judge(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, *, by_forces:
         score, depth, outcome = np.zeros(count), np.zeros(count), np.zeros(count, np.int8)
         run = close_and_balance_all if by_forces else close_and_assess_all
         run(problem.arrays, q_start, X_OH, closed, score, depth, outcome)
+    if problem.support is not None:
+        valid = np.flatnonzero(outcome == VALID)
+        low = valid[~problem.support.clears_closed(problem.hand, X_OH[valid], closed[valid])]
+        outcome[low], score[low] = MEETS_SUPPORT, np.inf if by_forces else 0.0
     zero = np.zeros(len(q_start))
     found = Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=zero, penetration_m=depth, outcome=outcome)
     return found, score

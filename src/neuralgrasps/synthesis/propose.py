@@ -12,6 +12,7 @@ import numpy as np
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.sdf_grid import grid_distance, grid_distance_gradient
+from neuralgrasps.hands.extent import hand_extent, lowest_height
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
@@ -19,12 +20,16 @@ from neuralgrasps.parallel import blocks, thread_map
 from neuralgrasps.synthesis.assess import advance_all
 from neuralgrasps.synthesis.candidates import GraspProblem
 from neuralgrasps.synthesis.oppose import opposition, perpendicular, pose_on_pair, thumb_and_fingers
+from neuralgrasps.synthesis.squeeze import pregrasp_joints
+from neuralgrasps.synthesis.support import WIDTH_SHARE, Support
 
 START_GAP_M = 1.0e-3  # an open hand advances until it is this near
 BACK_OFF_M = 0.012
 MAX_SPAN_M = 0.15  # wider pairs are not looked for
 OPPOSED_SHARE = 0.7
 DRAWS = 4  # pairs drawn per proposal: many are too wide, and drawing costs a hundredth of closing
+TIP_M = 0.004  # of the pads' length at their tips that nothing is planned to be held with
+STEEPEST_UP = 0.2  # sine of the slope at which a hand may come from below level, beside a support
 _CLOSURES = 33  # at which a jaw's pads are looked at; odd, so that one is half way
 
 
@@ -94,23 +99,51 @@ def jaw_aperture(hand: Hand) -> float:
     return float(advance.max() - advance.min())
 
 
-def pad_middles(hand: Hand, widths: np.ndarray) -> np.ndarray:
-    """(N, 3) middle between a jaw's pads, in H, when they are `widths` (N,) metres apart.
+def _closures(hand: Hand) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """A jaw on its way to: joints (S, J), how far its pads are apart (S,), and the middle between them (S, 3) in H.
 
-    Pads that a linkage swings move along the approach while they close. `hand.jaw_pad_H` is the middle half closed;
-    the two fingertips' points there are followed to other widths. For pads that slide it is the same for all.
+    `hand.jaw_pad_H` is the middle half closed; the two fingertips' points there are followed. None without two tips.
     """
     tips = [finger.links[-1] for finger in hand.fingers if finger.links]
     if len(tips) != 2:
-        return np.repeat(hand.jaw_pad_H[None], len(widths), axis=0)
+        return None
     share = np.linspace(0.0, 1.0, _CLOSURES)
-    X_HL = forward_fast(hand.tree, hand.q_open + share[:, None] * (_closed(hand) - hand.q_open))[:, tips]
+    q = hand.q_open + share[:, None] * (_closed(hand) - hand.q_open)
+    X_HL = forward_fast(hand.tree, q)[:, tips]
     half = X_HL[_CLOSURES // 2]
     pad_L = np.einsum("tji,tj->ti", half[:, :3, :3], hand.jaw_pad_H - half[:, :3, 3])
     points = np.einsum("stij,tj->sti", X_HL[..., :3, :3], pad_L) + X_HL[..., :3, 3]
     apart = np.abs((points[:, 1] - points[:, 0] - (points[-1, 1] - points[-1, 0])) @ hand.X_HP[:3, 0])
-    middle = points.mean(axis=1)
+    return q, apart, points.mean(axis=1)
+
+
+def pad_middles(hand: Hand, widths: np.ndarray) -> np.ndarray:
+    """(N, 3) middle between a jaw's pads, in H, when they are `widths` (N,) metres apart.
+
+    Pads that a linkage swings move along the approach while they close. For pads that slide it is the same for all.
+    """
+    found = _closures(hand)
+    if found is None:
+        return np.repeat(hand.jaw_pad_H[None], len(widths), axis=0)
+    _, apart, middle = found
     return np.stack([np.interp(widths, apart[::-1], column[::-1]) for column in middle.T], axis=1)
+
+
+def jaw_postures(hand: Hand, widths: np.ndarray) -> np.ndarray:
+    """(N, J) joints of a parallel jaw whose pads are `widths` (N,) metres apart."""
+    found = _closures(hand)
+    if found is None:
+        share = 1.0 - np.clip(widths / jaw_aperture(hand), 0.0, 1.0)
+        return hand.q_open + share[:, None] * (_closed(hand) - hand.q_open)
+    q, apart, _ = found
+    return np.stack([np.interp(widths, apart[::-1], column[::-1]) for column in q.T], axis=1)
+
+
+def jaw_widths(hand: Hand, q: np.ndarray) -> np.ndarray:
+    """(N,) distance between the pads of a parallel jaw at joints q (N, J), metres."""
+    X_HL = forward_fast(hand.tree, np.concatenate([_closed(hand)[None], q]))
+    apart = (X_HL[1:] - X_HL[:1])[:, :, :3, 3] @ hand.X_HP[:3, 0]
+    return apart.max(axis=1) - apart.min(axis=1)
 
 
 def draw_pairs(
@@ -136,25 +169,75 @@ def draw_pairs(
 
 
 def propose_jaw(
-    hand: Hand, obj: ObjectModel, *, count: int, friction: float, pad_depth_m: float, rng: np.random.Generator
+    hand: Hand,
+    obj: ObjectModel,
+    *,
+    count: int,
+    friction: float,
+    pad_depth_m: float,
+    rng: np.random.Generator,
+    support: Support | None = None,
 ) -> Proposals:
     """Antipodal candidates: a surface point, a ray in its inward friction cone, the far side within its cone.
 
     At most `count` come back (pairs that fail the cone or the aperture are dropped).
     Roll about the closing axis is uniform; the object's middle lies within `pad_depth_m` of the pads' middle.
+    Beside a `support`, `DRAWS` times as many are drawn, hands come level or from above, as deep as it lets them
+    (`deepest_beside`), and those that meet it are dropped.
     """
-    start, exits, keep = draw_pairs(obj, count, friction, jaw_aperture(hand) - 2.0e-3, rng)
-    roll = rng.random(count) * 2 * np.pi
-    depth = rng.uniform(-1.0, 1.0, count) * pad_depth_m
-    start, exits, roll, depth = (a[keep] for a in (start, exits, roll, depth))
-    direction = (exits - start) / np.linalg.norm(exits - start, axis=1, keepdims=True)
-    x_axis = direction
+    aperture = jaw_aperture(hand)
+    widest = aperture - 2.0e-3 if support is None else min(aperture - 2.0e-3, WIDTH_SHARE * aperture)
+    draws = count if support is None else DRAWS * count
+    start, exits, keep = draw_pairs(obj, draws, friction, widest, rng)
+    roll = rng.random(draws) * 2 * np.pi
+    share = rng.uniform(-1.0, 1.0, draws)
+    start, exits, roll, share = (a[keep] for a in (start, exits, roll, share))
+    depth = share * pad_depth_m
+    width = np.linalg.norm(exits - start, axis=1)
+    x_axis = (exits - start) / width[:, None]
     z_axis = perpendicular(x_axis, roll)
+    if support is not None:
+        z_axis *= np.where(z_axis @ support.plane.normal > 0.0, -1.0, 1.0)[:, None]
     X_HP_pad = np.repeat(hand.X_HP[None], len(start), axis=0)
-    X_HP_pad[:, :3, 3] = pad_middles(hand, np.linalg.norm(exits - start, axis=1))
-    centre = 0.5 * (start + exits) + depth[:, None] * z_axis
+    X_HP_pad[:, :3, 3] = pad_middles(hand, width)
+    centre = 0.5 * (start + exits)
+    if support is not None:
+        at_middle = poses_from_palm(X_HP_pad, centre, x_axis, z_axis)
+        depth, fits = depths_beside(hand, support, at_middle, width, share, pad_depth_m)
+        chosen = np.flatnonzero(fits)[:count]
+        centre, depth, x_axis, z_axis, X_HP_pad = (a[chosen] for a in (centre, depth, x_axis, z_axis, X_HP_pad))
+    centre = centre + depth[:, None] * z_axis
     q = np.repeat(hand.q_open[None], len(centre), axis=0)
     return Proposals(X_OH=poses_from_palm(X_HP_pad, centre, x_axis, z_axis), q=q)
+
+
+def depths_beside(
+    hand: Hand, support: Support, X_OH: np.ndarray, width: np.ndarray, share: np.ndarray, pad_depth_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """How deep jaws that come from above or level may go, drawn by `share` (N,) in [-1, 1], and which (N,) fit at all.
+
+    Of the depths within `pad_depth_m` of the pads' middle, those that the support allows; where they are few, the
+    pads hold the object nearer to their tips, up to `TIP_M` of them.
+
+    Args:
+        X_OH: (N, 4, 4) jaws at depth 0. width: (N,) of what they are to close on.
+    """
+    q = jaw_postures(hand, width)
+    opened = pregrasp_joints(hand, q)
+    height = np.minimum(*(lowest_height(hand, X_OH, posture, support.plane) for posture in (q, opened)))
+    steep = np.maximum(support.steepness(hand, X_OH), 0.0)
+    room = height - support.clearance_m
+    most = np.where(room >= 0.0, np.inf, -np.inf)
+    np.divide(room, steep, out=most, where=steep > 1e-6)
+    fingers = [link for finger in hand.fingers for link in finger.links]
+    approach_H = np.repeat(hand.X_HP[None, :3, 2], len(q), axis=0)
+    tips = hand_extent(hand, q, approach_H, links=fingers) - pad_middles(hand, width) @ hand.X_HP[:3, 2]
+    shallowest = TIP_M - tips
+    high = np.minimum(most, pad_depth_m)
+    low = np.maximum(shallowest, np.minimum(-pad_depth_m, high - TIP_M))
+    fits = high > shallowest
+    with np.errstate(invalid="ignore"):
+        return np.where(fits, low + 0.5 * (share + 1.0) * (high - low), 0.0), fits
 
 
 def draw_preshapes(hand: Hand, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -197,24 +280,34 @@ def _advance(
     return travel
 
 
+def _chosen(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, hit: np.ndarray) -> Proposals:
+    """The open hands that `hit` (N,) marks; beside a support, those whose palm is clear of it."""
+    if problem.support is not None:
+        hit = hit & problem.support.clears_open(problem.hand, X_OH, q)
+    return Proposals(X_OH=X_OH[hit], q=q[hit])
+
+
 def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Generator, threads: int = 1) -> Proposals:
     """Approach a random surface point along its normal (sd 0.35), random roll and preshape, up to first contact.
 
     70 % of the hands then back off by |N(0, 12 mm)|; the rest stay with the palm or a finger touching.
     """
     hand, obj = problem.hand, problem.obj
-    index = rng.integers(len(obj.points_O), size=count)
-    approach = -obj.normals_O[index] + 0.35 * rng.standard_normal((count, 3))
+    draws = count if problem.support is None else DRAWS * count
+    index = rng.integers(len(obj.points_O), size=draws)
+    approach = -obj.normals_O[index] + 0.35 * rng.standard_normal((draws, 3))
     approach /= np.linalg.norm(approach, axis=1, keepdims=True)
-    roll = rng.random(count) * 2 * np.pi
-    back = np.abs(rng.normal(0.0, BACK_OFF_M, count)) * (rng.random(count) < 0.7)
-    q = draw_preshapes(hand, count, rng)
+    roll = rng.random(draws) * 2 * np.pi
+    back = np.abs(rng.normal(0.0, BACK_OFF_M, draws)) * (rng.random(draws) < 0.7)
+    q = draw_preshapes(hand, draws, rng)
+    if problem.support is not None:
+        chosen = np.flatnonzero(approach @ problem.support.plane.normal < STEEPEST_UP)[:count]
+        index, approach, roll, back, q = (a[chosen] for a in (index, approach, roll, back, q))
     reach = _reach(hand, obj)
     X_OH = poses_from_palm(hand.X_HP, obj.points_O[index] - reach * approach, perpendicular(approach, roll), approach)
     travel = _advance(problem, X_OH, q, approach, reach + 0.05, touching=True, threads=threads)
-    hit = travel > 0.0
     X_OH[:, :3, 3] += (travel - back)[:, None] * approach
-    return Proposals(X_OH=X_OH[hit], q=q[hit])
+    return _chosen(problem, X_OH, q, travel > 0.0)
 
 
 def propose_opposed(
@@ -228,25 +321,29 @@ def propose_opposed(
     hand = problem.hand
     found = thumb_and_fingers(hand)
     assert found is not None
-    draws = DRAWS * count
+    more = 1 if problem.support is None else 2
+    draws = more * DRAWS * count
     start, exits, keep = draw_pairs(problem.obj, draws, friction, MAX_SPAN_M, rng)
     roll = rng.random(draws) * 2 * np.pi
     back = np.abs(rng.normal(0.0, BACK_OFF_M, draws)) * (rng.random(draws) < 0.3)
     share = rng.dirichlet(np.ones(len(found[1])), draws)
     q = draw_preshapes(hand, draws, rng)
-    kept = np.flatnonzero(keep)[: 2 * count]
+    kept = np.flatnonzero(keep)[: 2 * more * count]
     start, exits, roll, back, share, q = (a[kept] for a in (start, exits, roll, back, share, q))
     thumb_H, fingers_H, met = opposition(hand, problem.packed, q, share, np.linalg.norm(exits - start, axis=1))
     X_OH = pose_on_pair(thumb_H, fingers_H, start, exits, roll)
+    if problem.support is not None:
+        from_below = problem.support.steepness(hand, X_OH) < 0.0
+        X_OH = pose_on_pair(thumb_H, fingers_H, start, exits, roll + np.pi * from_below)
+        met &= problem.support.steepness(hand, X_OH) > -STEEPEST_UP
     chosen = np.flatnonzero(met)[:count]
     X_OH, q, back = X_OH[chosen], q[chosen], back[chosen]
     approach = X_OH[:, :3, :3] @ hand.X_HP[:3, 2]
     reach = _reach(hand, problem.obj)
     X_OH[:, :3, 3] -= reach * approach
     travel = _advance(problem, X_OH, q, approach, reach, touching=False, threads=threads)
-    hit = travel > 0.0
     X_OH[:, :3, 3] += (travel - back)[:, None] * approach
-    return Proposals(X_OH=X_OH[hit], q=q[hit])
+    return _chosen(problem, X_OH, q, travel > 0.0)
 
 
 def propose_dexterous(

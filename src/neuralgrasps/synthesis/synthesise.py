@@ -30,6 +30,7 @@ from neuralgrasps.synthesis.propose import Proposals, propose_dexterous, propose
 from neuralgrasps.synthesis.quotas import Kind, Quotas, Stopwatch
 from neuralgrasps.synthesis.refine import assess_all, refine
 from neuralgrasps.synthesis.select import diverse_order
+from neuralgrasps.synthesis.support import Support
 
 _LENGTHS = ("contact_threshold_m", "max_penetration_m", "torsion_m", "pad_depth_m")
 _MORE_NICHES = 8  # besides those in proportion to the grasps wanted
@@ -130,6 +131,7 @@ def synthesise(
     seed: int = 0,
     threads: int = 1,
     progress: Callable[[int, int], None] | None = None,
+    support: Support | None = None,
 ) -> SynthesisResult:
     """Make `config.count` diverse grasps, every one held by the physics protocol.
 
@@ -142,6 +144,8 @@ def synthesise(
         seed: root of every random number.
         threads: threads of this process; the result does not depend on it.
         progress: called with (validated so far, wanted).
+        support: what the object lies on: closed hands, the same a little more open, and their straight way back keep
+            clear of it, and jaws close on no more than 97 % of their aperture. The physics trial stays the same.
     Returns:
         A result; `converged` is False, with a reason, when fewer grasps were found.
     Source:
@@ -153,7 +157,7 @@ def synthesise(
         problem = make_problem(
             hand, obj, friction=friction, torsion=torsion,
             contact_threshold_m=config.contact_threshold_m, max_penetration_m=config.max_penetration_m,
-            device=config.device,
+            device=config.device, support=support,
         )  # fmt: skip
     quotas = Quotas(hand, config.count, config.power_share)
     outcomes = np.zeros(len(OUTCOMES), np.int64)
@@ -227,7 +231,7 @@ def _propose(problem: GraspProblem, config: SynthesisConfig, rng: np.random.Gene
     if problem.hand.is_jaw:
         return propose_jaw(
             problem.hand, problem.obj, count=config.batch, friction=problem.friction,
-            pad_depth_m=config.pad_depth_m, rng=rng,
+            pad_depth_m=config.pad_depth_m, rng=rng, support=problem.support,
         )  # fmt: skip
     return propose_dexterous(problem, count=config.batch, friction=problem.friction, rng=rng, threads=threads)
 
@@ -267,6 +271,8 @@ def _prove(
     """Finish candidates and try them in physics, in order, until none of this kind is missing."""
     texts = ((name, "" if value is None else value) for name, value in asdict(config).items())
     provenance = {name: ", ".join(value) if isinstance(value, tuple) else str(value) for name, value in texts}
+    if problem.support is not None:
+        provenance["support"] = str(problem.support)
     done = 0
     while done < len(refined) and quotas.missing(kind):
         rows = np.arange(done, min(done + quotas.missing(kind) + _MORE_NICHES, len(refined)))
@@ -275,6 +281,8 @@ def _prove(
             grasps = finish_grasps(
                 problem, refined.take(rows), protocol=config.protocol, seed=seed, config=provenance, threads=threads
             )
+            if problem.support is not None:
+                grasps = grasps[problem.support.clears(problem.hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)]
             chosen = quotas.of_kind(grasps, kind)
             quotas.other_kind += int((~chosen).sum())
             grasps = grasps[chosen]
