@@ -38,7 +38,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _DIRECTIONS_O = np.concatenate([np.eye(3), -np.eye(3)])[[0, 3, 1, 4, 2, 5]]  # +x, -x, +y, -y, +z, -z
 _FIRST_ROUND_S = 0.2
 _SETTLED_CHECKS = 8
-_DIVERGED = (
+DIVERGED = (
     mujoco.mjtWarning.mjWARN_BADQPOS,
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
@@ -170,7 +170,7 @@ class GraspTrial:
             and self._drive(q, q_squeeze, Phase.SQUEEZE, observe)
         )
         held = self._hold_all(observe) if closed else 0
-        diverged = any(self.data.warning[kind].number for kind in _DIVERGED)
+        diverged = any(self.data.warning[kind].number for kind in DIVERGED)
         displacement, rotation = (np.nan, np.nan) if rejected or diverged else self._worst
         return TrialOutcome(
             success=held == len(_DIRECTIONS_O) and not diverged,
