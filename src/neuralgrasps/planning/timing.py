@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 from toppra.algorithm import TOPPRA
@@ -15,7 +17,9 @@ from neuralgrasps.planning.checks import ConfigurationChecker
 
 DEVIATION = 1e-3  # rad or metres that a motion may leave its path by, in any joint
 _SAME = 1e-9  # waypoints nearer than this, in every joint, are one
+_STRETCH = 1.03  # a motion that is longer by this than its limits ask for is timed again on a finer grid
 _STAGES = 100  # least number of pieces that a path is cut into for its speed profile
+_SAMPLES = np.array([0.03, 0.1, 0.3, 0.5, 0.7, 0.9, 0.97])  # of an edge, where its distance to the curve is measured
 _REFINEMENTS = 24  # each halves the edges that the curve leaves too far
 _HAND_ACCELERATION = 50.0  # of the hand, in its top speeds per second: only its speed is limited
 _REST_S = 1e-3  # duration of a motion that goes nowhere
@@ -63,9 +67,15 @@ def time_path(
     velocity, acceleration = velocity * speed, acceleration * speed**2
     curve = _curve(q, velocity)
     path = _Path(curve, _positions(q, velocity), hand)
-    t, s, rate = _profile(path, velocity, acceleration, max_hand_speed)
-    trajectory = Trajectory(joint_names=tuple(joint_names), t=t, q=curve(s), qd=curve(s, 1) * rate[:, None])
-    return _within(trajectory, velocity, acceleration)
+    motions = []
+    for pieces in (1, 4):  # sharp corners need a finer grid
+        t, s, rate = _profile(path, velocity, acceleration, max_hand_speed, pieces)
+        motion = Trajectory(joint_names=tuple(joint_names), t=t, q=curve(s), qd=curve(s, 1) * rate[:, None])
+        stretch = _excess(motion, velocity, acceleration)
+        motions.append(replace(motion, t=t * stretch, qd=motion.qd / stretch))
+        if stretch < _STRETCH:
+            break
+    return min(motions, key=lambda motion: motion.duration_s)
 
 
 def hand_lengths(manipulator: Manipulator, q_arm: np.ndarray, *, turn_m: float = 0.0) -> np.ndarray:
@@ -159,10 +169,9 @@ def _curve(q: np.ndarray, velocity: np.ndarray) -> CubicSpline:
 def _edge_deviation(curve: CubicSpline, q: np.ndarray) -> np.ndarray:
     """(T - 1,) distance of the curve to each edge, in the worst joint."""
     s, edge = curve.x, np.diff(q, axis=0)
-    points = curve(s[:-1, None] + np.diff(s)[:, None] * np.array([0.2, 0.4, 0.6, 0.8])) - q[:-1, None]
-    unit = edge / np.linalg.norm(edge, axis=1, keepdims=True)
-    along = np.einsum("esd,ed->es", points, unit)
-    return np.asarray(np.abs(points - along[..., None] * unit[:, None]).max(axis=(1, 2)))
+    points = curve(s[:-1, None] + np.diff(s)[:, None] * _SAMPLES) - q[:-1, None]
+    share = np.clip(np.einsum("esd,ed->es", points, edge) / (edge**2).sum(axis=1)[:, None], 0.0, 1.0)
+    return np.asarray(np.abs(points - share[..., None] * edge[:, None]).max(axis=(1, 2)))
 
 
 class _Path(AbstractGeometricPath):  # type: ignore[misc]
@@ -195,14 +204,14 @@ class _Path(AbstractGeometricPath):  # type: ignore[misc]
 
 
 def _profile(
-    path: _Path, velocity: np.ndarray, acceleration: np.ndarray, max_hand_speed: float | None
+    path: _Path, velocity: np.ndarray, acceleration: np.ndarray, max_hand_speed: float | None, pieces: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, path positions and path speeds, (S,) each, at all corners of the speed profile and half-way between."""
     if max_hand_speed is not None:
         velocity = np.append(velocity, max_hand_speed)
         acceleration = np.append(acceleration, _HAND_ACCELERATION * max_hand_speed)
     knots = path.curve.x
-    grid = _divided(knots, np.ceil(np.diff(knots) * (_STAGES / knots[-1])).astype(int))
+    grid = _divided(knots, np.maximum(np.ceil(np.diff(knots) * (_STAGES / knots[-1])), pieces).astype(int))
     limits = [
         JointVelocityConstraint(np.stack([-velocity, velocity], axis=1)),
         JointAccelerationConstraint(
@@ -239,8 +248,8 @@ def _divided(x: np.ndarray, parts: np.ndarray) -> np.ndarray:
     return np.append(x[first] + within * np.diff(x)[first], x[-1])
 
 
-def _within(trajectory: Trajectory, velocity: np.ndarray, acceleration: np.ndarray) -> Trajectory:
-    """The motion, stretched in time as far as its cubic pieces exceed a limit anywhere."""
+def _excess(trajectory: Trajectory, velocity: np.ndarray, acceleration: np.ndarray) -> float:
+    """How much longer, at least 1, the motion must take so that its cubic pieces exceed no limit anywhere."""
     h = np.diff(trajectory.t)[:, None]
     step, v0, v1 = np.diff(trajectory.q, axis=0) / h, trajectory.qd[:-1], trajectory.qd[1:]
     a0, a1 = (6.0 * step - 4.0 * v0 - 2.0 * v1) / h, (2.0 * v0 + 4.0 * v1 - 6.0 * step) / h  # linear between
@@ -249,10 +258,4 @@ def _within(trajectory: Trajectory, velocity: np.ndarray, acceleration: np.ndarr
         peak = np.where((turn > 0) & (turn < 1), np.abs(v0 + 0.5 * a0 * turn * h), 0.0)
     fastest = np.maximum(np.maximum(np.abs(v0), np.abs(v1)), peak).max(axis=0)
     hardest = np.maximum(np.abs(a0), np.abs(a1)).max(axis=0)
-    stretch = max(1.0, float((fastest / velocity).max()), float(np.sqrt((hardest / acceleration).max())))
-    return Trajectory(
-        joint_names=trajectory.joint_names,
-        t=trajectory.t * stretch,
-        q=trajectory.q,
-        qd=trajectory.qd / stretch,
-    )
+    return max(1.0, float((fastest / velocity).max()), float(np.sqrt((hardest / acceleration).max())))
