@@ -7,15 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from neuralgrasps.arms.manipulator import Manipulator
+from neuralgrasps.arms.meshes import link_meshes
 from neuralgrasps.errors import ShapeError
-from neuralgrasps.geometry.mesh import Mesh, box_mesh, merge_meshes
-from neuralgrasps.hands.parts import part_mesh
+from neuralgrasps.geometry.mesh import Mesh, box_mesh
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.sim.camera import DepthNoise, DepthView, render_depth_view
 from neuralgrasps.sim.tabletop_model import SolidBox
 
-_SEGMENTS = 24
 _FLOOR_HALF_M = (4.0, 4.0, 0.05)
 
 
@@ -29,15 +28,13 @@ class SceneMeshes:
         X_floor = np.eye(4)
         X_floor[2, 3] = floor_z_m - _FLOOR_HALF_M[2]
         self._X_still = np.array([*(np.asarray(b.X_BX) for b in boxes), X_floor])
-        self._links = sorted({p.link for p in manipulator.parts})
+        robot = link_meshes(manipulator)
+        self._links = [link for link, _ in robot]
         self.meshes: tuple[Mesh, ...] = (
             *(o.mesh for o in objects),
             *(box_mesh(b.half) for b in boxes),
             box_mesh(np.array(_FLOOR_HALF_M)),
-            *(
-                merge_meshes([part_mesh(p, segments=_SEGMENTS) for p in manipulator.parts if p.link == link])
-                for link in self._links
-            ),
+            *(mesh for _, mesh in robot),
         )
 
     def poses(self, q: np.ndarray, X_BO: np.ndarray) -> np.ndarray:
