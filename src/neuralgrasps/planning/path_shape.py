@@ -11,6 +11,7 @@ EdgeCheck = Callable[[np.ndarray, np.ndarray], bool]
 
 _SAGITTA = 2.5e-4  # rad or metres between a rounded corner and the chords it is given by
 _SMALLEST = 8.0  # corners are tried down to this fraction of the cut
+_SAME_S = 1e-9  # two points nearer than this are one
 _LEAST_GAIN = 1e-3  # of the length in seconds, below which a shortcut is not worth its checks
 
 
@@ -24,7 +25,7 @@ def shorten(
     Args:
         q: (T, D) waypoints of a free path.
     """
-    q = _skip(q, edge_is_free)
+    q = _skip(_distinct(q, velocity), edge_is_free)
     for _ in range(tries):
         if len(q) == 2:
             break
@@ -45,7 +46,7 @@ def _shortcut(q: np.ndarray, edge_is_free: EdgeCheck, velocity: np.ndarray, ends
     """A line between two points of the path (their shares of its length), where it is free and shorter."""
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0) / velocity, axis=1))])
     s0, s1 = ends * s[-1]
-    i, j = np.searchsorted(s, [s0, s1], side="right") - 1
+    i, j = np.minimum(np.searchsorted(s, [s0, s1], side="right") - 1, len(q) - 2)
     if i == j:
         return q
     a = q[i] + (q[i + 1] - q[i]) * ((s0 - s[i]) / (s[i + 1] - s[i]))
@@ -63,6 +64,7 @@ def round_corners(q: np.ndarray, edge_is_free: EdgeCheck, velocity: np.ndarray, 
         q: (T, D) waypoints. cut_s: length cut off each side, seconds at top speed, at most half of the side; halved
             until the chords are free, down to an eighth; then the corner stays.
     """
+    q = _distinct(q, velocity)
     if len(q) < 3 or cut_s <= 0:
         return q
     side = np.linalg.norm(np.diff(q, axis=0) / velocity, axis=1)
@@ -70,7 +72,16 @@ def round_corners(q: np.ndarray, edge_is_free: EdgeCheck, velocity: np.ndarray, 
     for k in range(1, len(q) - 1):
         most = min(cut_s, 0.5 * side[k - 1], 0.5 * side[k])
         pieces.append(_rounded(q[k - 1 : k + 2], side[k - 1 : k + 1], most, edge_is_free))
-    return np.concatenate([*pieces, q[-1:]])
+    return _distinct(np.concatenate([*pieces, q[-1:]]), velocity)  # neighbours may meet half-way
+
+
+def _distinct(q: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """The waypoints without repeated ones; both ends stay exactly."""
+    out = q[np.append(True, np.linalg.norm(np.diff(q, axis=0) / velocity, axis=1) > _SAME_S)]
+    if len(out) == 1:
+        return q[[0, -1]]
+    out[-1] = q[-1]
+    return out
 
 
 def _rounded(corner: np.ndarray, side: np.ndarray, most: float, edge_is_free: EdgeCheck) -> np.ndarray:
