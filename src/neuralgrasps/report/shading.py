@@ -21,6 +21,7 @@ from neuralgrasps.report.shadow_maps import ShadowMaps, dome_directions, shadow_
 from neuralgrasps.report.smooth_normals import corner_normals
 
 SUPERSAMPLING = 3
+_KNEE = 0.75  # linear light above which highlights roll off
 _DOME_LIGHTS = 45  # a multiple of the nine samples of a pixel
 _DOME_MAP, _KEY_MAP = 128, 512  # cells per side of a shadow map
 _GROUND_CELLS, _GROUND_REACH = 128, 2.1  # the shadow on the ground: cells per side, half side in scene radii
@@ -84,9 +85,9 @@ def shade(
     dome, key_light = dome_directions(_DOME_LIGHTS), _key_direction(X_WC, style)
     coarse = merge_meshes([s.caster or s.mesh for s in surfaces])
     dome_maps = shadow_maps(coarse.vertices, coarse.faces, dome, centre=centre, radius=radius, size=_DOME_MAP)
-    sky = _lights(dome, dome_maps)
+    sky = lights_of(dome, dome_maps)
     key_maps = shadow_maps(vertices, faces, key_light[None], centre=centre, radius=radius, size=_KEY_MAP)
-    key = _lights(key_light, key_maps)
+    key = lights_of(key_light, key_maps)
     colour = np.zeros((intrinsics.height, intrinsics.width, 3), np.float32)
     coverage = np.zeros((intrinsics.height, intrinsics.width), np.float32)
     shade_surfaces(
@@ -104,7 +105,8 @@ def shade(
     return _encode(colour, coverage, darkness)
 
 
-def _lights(directions: np.ndarray, maps: ShadowMaps) -> Lights:
+def lights_of(directions: np.ndarray, maps: ShadowMaps) -> Lights:
+    """What the light kernels take: directions (L, 3) or (3,) towards the lights, and their maps."""
     return directions.astype(np.float32), maps.axes, maps.depth, np.float32(maps.texel_m)
 
 
@@ -162,12 +164,16 @@ def _key_direction(X_WC: np.ndarray, style: Style) -> np.ndarray:
     return np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(style.key_elevation_rad)])
 
 
+def roll_off(linear: np.ndarray) -> np.ndarray:
+    """Linear light (...) that nears 1 instead of being clipped there."""
+    over = np.maximum(linear - _KNEE, 0.0)
+    return np.minimum(linear, _KNEE) + (1 - _KNEE) * (1 - np.exp(-over / (1 - _KNEE)))
+
+
 def _encode(colour: np.ndarray, coverage: np.ndarray, darkness: np.ndarray) -> np.ndarray:
     """8-bit sRGB with straight alpha over the ground's shadow; highlights roll off instead of clipping."""
     colour = colour / np.maximum(coverage, 1e-6)[..., None]
-    knee = 0.75
-    over = np.maximum(colour - knee, 0.0)
-    colour = linear_to_srgb(np.minimum(colour, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee))))
+    colour = linear_to_srgb(roll_off(colour))
     # Browsers blend in sRGB, so the shadow is put behind the object in sRGB too.
     alpha = coverage + (1 - coverage) * darkness
     colour = colour * (coverage / np.maximum(alpha, 1e-6))[..., None]
