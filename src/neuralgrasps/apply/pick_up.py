@@ -233,6 +233,6 @@ def go_home(robot: Robot, world: PlanningWorld, *, speed: float = 0.7, seed: int
             velocity=manipulator.velocity,
             acceleration=manipulator.acceleration,
             speed=speed,
-        )  # fmt: skip
+        )
     )
     return ""

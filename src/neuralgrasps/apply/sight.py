@@ -148,13 +148,9 @@ def _among_others(view: TableView, obj: ObjectModel, others: Sequence[ObjectMode
     X_BC = view.frame.X_WC
     assert X_BC is not None
     library = {o.name: o for o in (obj, *others)}
-    found = find_objects(
-        list(library.values()), view.frame, table=view.fit.plane, masks=list(view.clusters), seed=seed
-    )
+    found = find_objects(list(library.values()), view.frame, table=view.fit.plane, masks=list(view.clusters), seed=seed)
     mine = max((f for f in found if f.name == obj.name), key=lambda f: f.probability, default=None)
-    placed = tuple(
-        PlacedObject(obj=library[f.name], X_BO=X_BC @ f.pose.X_CO) for f in found if f is not mine
-    )
+    placed = tuple(PlacedObject(obj=library[f.name], X_BO=X_BC @ f.pose.X_CO) for f in found if f is not mine)
     explained = np.zeros(view.frame.depth.shape, bool)
     for f in found:
         explained |= f.mask

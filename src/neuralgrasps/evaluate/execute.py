@@ -19,6 +19,8 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.pick import PickPlan, PickResult
 from neuralgrasps.seeds import child_seed
+from neuralgrasps.planning.world import PlanningWorld
+from neuralgrasps.sim.recheck import PathCheck, recheck_path
 from neuralgrasps.sim.tabletop import Recording, TableTopConfig
 
 PoseMethod = Literal["ours", "true", "baseline", "contact"]
@@ -39,6 +41,7 @@ class ExecuteConfig:
         retries: further attempts, each with a new look, when the object is not held.
         pick: of the pick. sim: of the simulation.
         record_every_s: states kept for pictures; None keeps none.
+        recheck: look again at every executed path, each millimetre, with the physics engine's exact shapes.
     """
 
     pose: PoseMethod = "ours"
@@ -46,6 +49,7 @@ class ExecuteConfig:
     pick: PickUpConfig = field(default_factory=PickUpConfig)
     sim: TableTopConfig = field(default_factory=TableTopConfig)
     record_every_s: float | None = None
+    recheck: bool = False
 
     def __post_init__(self) -> None:
         if self.pose not in get_args(PoseMethod):
@@ -67,6 +71,7 @@ class Attempt:
         lifted_m: how far the object was above its start after holding. held: it was lifted, and still was at the end.
         pushed_m: how far it moved before the hand closed. touched: the hand touched it after closing.
         hits: what was touched that should not have been, with the phase and force.
+        rechecks: of the transfer and the approach, in the world they were planned in; empty unless asked for.
     """
 
     X_BO_true: np.ndarray
@@ -84,6 +89,7 @@ class Attempt:
     pushed_m: float = 0.0
     touched: bool = False
     hits: tuple[str, ...] = ()
+    rechecks: tuple[PathCheck, ...] = ()
 
     @property
     def success(self) -> bool:
@@ -195,7 +201,18 @@ def _attempt(
         look_cpu_s=proposal.look_cpu_s,
         grasps_cpu_s=proposal.grasps_cpu_s,
     )
-    return attempt if proposal.plan is None else _carried_out(robot, attempt, proposal.plan, target, config.pick)
+    if proposal.plan is None:
+        return attempt
+    if config.recheck:
+        assert proposal.world is not None
+        attempt = replace(attempt, rechecks=_rechecks(robot.manipulator, proposal.plan, proposal.world))
+    return _carried_out(robot, attempt, proposal.plan, target, config.pick)
+
+
+def _rechecks(manipulator: Manipulator, plan: PickPlan, world: PlanningWorld) -> tuple[PathCheck, ...]:
+    return tuple(
+        recheck_path(manipulator, world, motion.q, q_hand=plan.q_pregrasp) for motion in (plan.transfer, plan.approach)
+    )
 
 
 def _errors(obj: ObjectModel, X_BO: np.ndarray | None, X_BO_true: np.ndarray) -> PoseErrors:
@@ -250,7 +267,7 @@ def _carried_out(robot: SimulatedRobot, attempt: Attempt, plan: PickPlan, target
     for step in pick_steps(plan, config):
         robot.phase(step.name)
         step.run(robot)
-        hits += [f"{step.name}: {hit}" for hit in robot.hits(target, least_n=_HIT_N)]
+        hits += robot.hits(target, least_n=_HIT_N)
         if step.name == "approach":
             pushed = float(np.linalg.norm(robot.object_pose(target)[:3, 3] - start[:3, 3]))
         if step.name == "close":

@@ -17,10 +17,21 @@ from neuralgrasps.evaluate.shares import mcnemar_p, wilson_interval
 FETCH_PAIR, PANDA_PAIR, CLUTTER = "fetch+fetch", "panda+allegro", "clutter"
 METHODS: tuple[PoseMethod, ...] = ("ours", "true", "baseline", "contact")
 FIGURES = (
-    *(f"success_{m}" for m in METHODS), "success_retry_ours", "clutter_success", "clutter_retry_success", "plan_median_ms",
-    "plan_p95_ms", "plan_found", "paths_checked", "collisions", "trials_per_min", "success_panda_allegro",
-    "success_panda_allegro_true", "infeasible_share", "infeasible_share_panda_allegro",
-)  # fmt: skip
+    *(f"success_{m}" for m in METHODS),
+    "success_retry_ours",
+    "clutter_success",
+    "clutter_retry_success",
+    "plan_median_ms",
+    "plan_p95_ms",
+    "plan_found",
+    "paths_checked",
+    "collisions",
+    "trials_per_min",
+    "success_panda_allegro",
+    "success_panda_allegro_true",
+    "infeasible_share",
+    "infeasible_share_panda_allegro",
+)
 
 
 def execute_figures(bench: ExecuteBench) -> dict[str, float]:
@@ -85,7 +96,7 @@ def _success_rows(trials: Sequence[TrialRecord]) -> list[dict[str, Any]]:
                     "high": high,
                     "with_retry": _share(t.success_retry for t in mine),
                     "pose_right": _share(t.pose_right for t in mine),
-                }  # fmt: skip
+                }
             )
     return rows
 
@@ -114,7 +125,7 @@ def _mcnemar_rows(trials: Sequence[TrialRecord]) -> list[dict[str, Any]]:
                 "only_first": sum(x and not y for x, y in zip(a, b, strict=True)),
                 "only_second": sum(y and not x for x, y in zip(a, b, strict=True)),
                 "p": mcnemar_p(a, b),
-            }  # fmt: skip
+            }
         )
     return rows
 
@@ -137,7 +148,7 @@ def _scene_rows(scenes: Sequence[SceneRecord]) -> list[dict[str, Any]]:
                 "plan_p95_ms": float(np.percentile(cpu, 95)),
                 "grasps_tried_median": float(np.median([s.tried for s in own])),
                 "why_not": reasons.most_common(1)[0][0] if reasons else "",
-            }  # fmt: skip
+            }
         )
     return rows
 

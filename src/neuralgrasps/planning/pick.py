@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,9 +14,10 @@ from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
 from neuralgrasps.planning.candidates import RankedCandidates, rank_candidates
 from neuralgrasps.planning.collision import CollisionChecker
-from neuralgrasps.planning.ik import IkSolver
+from neuralgrasps.planning.ik import ik_solver
 from neuralgrasps.planning.path import PathConfig, plan_path
 from neuralgrasps.planning.straight import follow_line, line_path
 from neuralgrasps.planning.timing import time_path
@@ -32,7 +33,7 @@ class PickConfig:
         standoff_m: length of the straight approach along the hand's approach axis; steps: waypoints on it.
         lift_m: height of the straight lift.
         clearance_m: least distance of the hand to the table and other objects at the grasp.
-        solutions: arm postures tried per grasp. max_grasps: grasps tried; None: all.
+        solutions: arm postures tried per grasp, from that many `starts` of inverse kinematics. max_grasps: grasps tried; None: all.
         time_limit_s: no further grasp is begun after so long. Below it the result depends on the seed only.
         speed: share of the velocity limits for the transfer; accelerations are scaled by its square.
         approach_speed, lift_speed: of the hand, m/s.
@@ -44,18 +45,19 @@ class PickConfig:
     lift_m: float = 0.20
     clearance_m: float = 0.004
     solutions: int = 6
+    starts: int = 24
     max_grasps: int | None = None
     time_limit_s: float = 5.0
     speed: float = 0.7
     approach_speed: float = 0.08
     lift_speed: float = 0.12
-    path: PathConfig = PathConfig()
+    path: PathConfig = field(default_factory=PathConfig)
 
     def __post_init__(self) -> None:
         for name in ("standoff_m", "lift_m", "time_limit_s", "speed", "approach_speed", "lift_speed"):
             if not getattr(self, name) > 0:
                 raise InputError(f"pick: {name} is {getattr(self, name)}; expected a positive number.")
-        for name in ("steps", "solutions"):
+        for name in ("steps", "solutions", "starts"):
             if getattr(self, name) < 1:
                 raise InputError(f"pick: {name} is {getattr(self, name)}; expected at least 1.")
 
@@ -131,6 +133,12 @@ def plan_pick(
     return _Walk(manipulator, grasps, world, q_start, config, seed).run(preference)
 
 
+def opened_postures(hand: Hand, q_pregrasp: np.ndarray) -> np.ndarray:
+    """(3, J) postures to approach with, the widest first: open in all closing joints, half way, and the pre-grasp."""
+    q_open = np.where(hand.closing_rate != 0, hand.q_open, q_pregrasp)
+    return np.stack([q_open, 0.5 * (q_open + q_pregrasp), q_pregrasp])
+
+
 def _check(manipulator: Manipulator, grasps: GraspSet, world: PlanningWorld, q_start: np.ndarray) -> None:
     if world.target is None:
         raise InputError("the planning world has no target; set PlanningWorld.target to the object to pick.")
@@ -169,7 +177,7 @@ class _Walk:
         self.manipulator, self.grasps, self.world = manipulator, grasps, world
         self.q_start, self.config, self.seed = q_start, config, seed
         self.target = world.target
-        self.solver = IkSolver.of(manipulator)
+        self.solver = ik_solver(manipulator)
         self.counts: Counter[str] = Counter()
         self.hand = manipulator.hand
         self.checker = CollisionChecker.of(manipulator, world)
@@ -213,14 +221,19 @@ class _Walk:
     def _try(self, ranked: RankedCandidates, k: int) -> PickPlan | None:
         index = int(ranked.index[k])
         X_BH = self.target.X_BO @ self.grasps.X_OH[index]
-        postures = self.solver.solve(X_BH, q_near=self.q_start, max_solutions=self.config.solutions)
+        postures = self.solver.solutions(
+            X_BH, max_solutions=self.config.solutions, starts=self.config.starts, q_near=self.q_start
+        )
         if len(postures) == 0:
             self.counts["out of reach"] += 1
             return None
-        q_open, q_closed = self.grasps.q_pregrasp[index], self.grasps.q[index]
-        approach_checker = self.checker.for_approach(q_open)
-        free = approach_checker.is_free(postures)
-        if not free.any():
+        q_closed = self.grasps.q[index]
+        for q_open in opened_postures(self.hand, self.grasps.q_pregrasp[index]):
+            approach_checker = self.checker.for_approach(q_open)
+            free = approach_checker.is_free(postures)
+            if free.any():
+                break
+        else:
             self.counts["robot touches something at the grasp"] += 1
             return None
         lift_checker = self.checker.for_lift(q_closed, inverse_np(self.grasps.X_OH[index]))
@@ -245,7 +258,7 @@ class _Walk:
                 seed=child_seed(self.seed, "path", index, attempt),
             )
             if path.solved:
-                return self._timed(index, X_BH, path.q, retreat.q[::-1], lift.q, float(ranked.clearance_m[k]))
+                return self._timed(index, X_BH, q_open, path.q, retreat.q[::-1], lift.q, float(ranked.clearance_m[k]))
             ended = "no path to the standoff"
         self.counts[ended] += 1
         return None
@@ -256,7 +269,14 @@ class _Walk:
         return line_path(X_BH, end, self.config.steps)
 
     def _timed(
-        self, index: int, X_BH: np.ndarray, path: np.ndarray, approach: np.ndarray, lift: np.ndarray, clearance_m: float
+        self,
+        index: int,
+        X_BH: np.ndarray,
+        q_open: np.ndarray,
+        path: np.ndarray,
+        approach: np.ndarray,
+        lift: np.ndarray,
+        clearance_m: float,
     ) -> PickPlan:
         m, config = self.manipulator, self.config
         limits = {"joint_names": m.arm_names, "velocity": m.velocity, "acceleration": m.acceleration}
@@ -267,7 +287,7 @@ class _Walk:
             transfer=time_path(path, **limits, speed=config.speed),
             approach=time_path(approach, **limits, hand_m=config.standoff_m, max_hand_speed=config.approach_speed),
             lift=time_path(lift, **limits, hand_m=config.lift_m, max_hand_speed=config.lift_speed),
-            q_pregrasp=self.grasps.q_pregrasp[index],
+            q_pregrasp=q_open,
             q_grasp=self.grasps.q[index],
             q_squeeze=self.grasps.q_squeeze[index],
             clearance_m=clearance_m,

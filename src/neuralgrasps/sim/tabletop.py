@@ -176,6 +176,15 @@ class TableTop:
         poses = [self.object_pose(k) for k in range(len(self.objects))]
         return np.stack(poses) if poses else np.zeros((0, 4, 4))
 
+    def place(self, index: int, X_BO: np.ndarray) -> None:
+        """Put object `index` at X_BO (4, 4), at rest."""
+        check_shape("X_BO", np.shape(X_BO), (4, 4))
+        at, speed = self._object_qpos[index], self._object_qvel[index]
+        position, quaternion = position_quaternion(np.asarray(X_BO, np.float64))
+        self.data.qpos[at : at + 7] = [*position, *quaternion]
+        self.data.qvel[speed : speed + 6] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
     def settle(self, max_s: float = 1.5) -> Settling:
         """Stand still until all objects do, at most `max_s`."""
         before, start = self._object_frames(), self.time_s
