@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.geometry.primitives import box_mesh
-from neuralgrasps.synthesis.prepared import _MOST_KEPT, _Memory, prepare_hand, prepare_surface
+from neuralgrasps.synthesis.prepared import _MOST_KEPT, Memory, prepare_hand, prepare_surface
 
 
 def test_equal_hands_share_and_other_hands_do_not(hands):
@@ -27,7 +27,7 @@ def test_surfaces_are_told_apart_by_their_mesh():
 
 
 def test_the_longest_unused_goes_first():
-    memory, made = _Memory(), []
+    memory, made = Memory(), []
 
     def make(key):
         return memory.get(key, lambda: made.append(key) or [key])

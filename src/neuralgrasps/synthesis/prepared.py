@@ -31,11 +31,16 @@ class PreparedHand(NamedTuple):
     closing: Closing
 
 
-class _Memory(Generic[T]):
+class Memory(Generic[T]):
     """The last few results of a pure function, by content."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = _MOST_KEPT) -> None:
         self._kept: OrderedDict[str, T] = OrderedDict()
+        self._most = most
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._kept.clear()
 
     def get(self, key: str, make: Callable[[], T]) -> T:
         """What is kept under `key`, else what `make` returns."""
@@ -43,13 +48,13 @@ class _Memory(Generic[T]):
         if value is None:
             value = make()
         self._kept[key] = value
-        while len(self._kept) > _MOST_KEPT:
+        while len(self._kept) > self._most:
             self._kept.popitem(last=False)
         return value
 
 
-_HANDS = _Memory[PreparedHand]()
-_SURFACES = _Memory[ProbePoints]()
+_HANDS = Memory[PreparedHand]()
+_SURFACES = Memory[ProbePoints]()
 
 
 def prepare_hand(hand: Hand, *, spacing: float) -> PreparedHand:

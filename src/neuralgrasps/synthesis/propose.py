@@ -302,7 +302,8 @@ def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Genera
     q = draw_preshapes(hand, draws, rng)
     if problem.support is not None:
         chosen = np.flatnonzero(approach @ problem.support.plane.normal < STEEPEST_UP)[:count]
-        index, approach, roll, back, q = (a[chosen] for a in (index, approach, roll, back, q))
+        index, approach, roll = index[chosen], approach[chosen], roll[chosen]
+        back, q = back[chosen], q[chosen]
     reach = _reach(hand, obj)
     X_OH = poses_from_palm(hand.X_HP, obj.points_O[index] - reach * approach, perpendicular(approach, roll), approach)
     travel = _advance(problem, X_OH, q, approach, reach + 0.05, touching=True, threads=threads)
