@@ -155,7 +155,7 @@ class IkSolver:
             *np.empty((2, *shape)),
             np.empty(shape, np.int64),
         )
-        enough = q0.shape[1] if max_solutions is None else max_solutions
+        enough = q0.shape[1] if max_solutions is None else self._checked_wish(max_solutions)
         solve_all(self.chain, X, q0, near, enough, self.config.apart, self.settings, out)
         return IkResult(
             q=out[0],
@@ -181,10 +181,9 @@ class IkSolver:
         if len(X) != 1:
             raise ShapeError(f"X_BH holds {len(X)} poses; expected one (4, 4). Use solve for many.")
         near = self.q_home if q_near is None else self.checked_posture("q_near", q_near)
-        count = self._checked_count(starts)
-        return _search(
-            self.chain, self.table, X, near, q_near is not None, count, max_solutions, self.config.apart, self.settings
-        )
+        count, enough = self._checked_count(starts), self._checked_wish(max_solutions)
+        packed = (self.chain, self.reach, self.table)
+        return _search(packed, X, near, q_near is not None, count, enough, self.config.apart, self.settings)
 
     def starts(self, X_BH: np.ndarray, count: int) -> np.ndarray:
         """Postures (N, count, D) of the table whose hand poses are near `X_BH` (N, 4, 4), nearest first."""
@@ -245,6 +244,11 @@ class IkSolver:
             )
         return int(count)
 
+    def _checked_wish(self, max_solutions: int) -> int:
+        if max_solutions < 1:
+            raise InputError(f"max_solutions is {max_solutions}; expected at least 1.")
+        return int(max_solutions)
+
     def _checked_starts(self, starts: int | np.ndarray, X: np.ndarray) -> np.ndarray:
         if isinstance(starts, int | np.integer):
             return _starts(self.table, X, self.settings.rotation_weight, self._checked_count(int(starts)))
@@ -257,7 +261,7 @@ class IkSolver:
             )
         if not np.isfinite(q).all():
             raise InputError("starts is not finite; expected rad or metres.")
-        return np.ascontiguousarray(np.where(self.chain.free, q, np.clip(q, self.chain.lower, self.chain.upper)))
+        return np.ascontiguousarray(q)
 
 
 @lru_cache(maxsize=8)
@@ -295,13 +299,14 @@ def _starts(table, X, weight, count):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _search(chain, table, X, near, near_first, count, enough, apart, settings):  # type: ignore[no-untyped-def]
+def _search(packed, X, near, near_first, count, enough, apart, settings):  # type: ignore[no-untyped-def]
     """Distinct solutions (S, D) for one hand pose `X` (1, 4, 4)."""
+    chain, reach, table = packed
     dofs, first = near.shape[0], 1 if near_first else 0
+    if not within_reach(reach, X)[0]:
+        return np.empty((0, dofs))
     starts = np.empty((1, count + first, dofs))
-    if near_first:
-        for d in range(dofs):
-            starts[0, 0, d] = near[d] if chain.free[d] else min(max(near[d], chain.lower[d]), chain.upper[d])
+    starts[0, 0] = near
     nearest_postures(table, X[0], settings.rotation_weight, np.empty(table.q.shape[0], np.float32), starts[0, first:])
     shape = (1, count + first)
     q, converged, distinct = np.empty((1, count + first, dofs)), np.empty(shape, np.bool_), np.empty(shape, np.bool_)

@@ -209,6 +209,13 @@ def take_step(chain, q, max_step, step):  # type: ignore[no-untyped-def]
     scale = max_step / most
     for d in range(q.shape[0]):
         q[d] += scale * step[d]
+    _hold(chain, q)
+
+
+@njit(cache=True, error_model="numpy")
+def _hold(chain, q):  # type: ignore[no-untyped-def]
+    """Bring joints that do not turn freely, in place, within limits."""
+    for d in range(q.shape[0]):
         if not chain.free[d]:
             q[d] = min(max(q[d], chain.lower[d]), chain.upper[d])
 
@@ -260,6 +267,7 @@ def solve_all(chain, X, starts, near, enough, apart, settings, out):  # type: ig
         made = 0
         for k in range(starts.shape[1]):
             q[n, k] = starts[n, k]
+            _hold(chain, q[n, k])
             converged[n, k], distinct[n, k] = False, False
             position[n, k], rotation[n, k], iterations[n, k] = np.inf, np.inf, -1
             if made >= enough:

@@ -23,7 +23,7 @@ from neuralgrasps.planning.ik_kernels import (
     work_arrays,
 )
 
-_COMPLETE, _MISSED, _JUMPED = 0, 1, 2
+_COMPLETE, _MISSED, _JUMPED, _BOWED = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +37,7 @@ class LineConfig:
         limit_zone: joints within this of a limit, rad or metres, are drawn away from it where the hand allows; at most
             a sixth of their range.
         pull: share of that distance per pose.
+        max_bow_m: how far the hand may be from the line half way between two poses, joints moving evenly.
     """
 
     position_tolerance_m: float = 2e-5
@@ -45,6 +46,7 @@ class LineConfig:
     max_iterations: int = 25
     limit_zone: float = 0.3
     pull: float = 0.2
+    max_bow_m: float = 1e-3
 
     def __post_init__(self) -> None:
         for name in self.__slots__:
@@ -124,7 +126,7 @@ def follow_line(
         max_step_rad: largest change of a turning joint from row to row, also from `q_arm` to the first.
         config: tolerances.
     Returns:
-        The rows up to the first pose that was missed or needed a jump, and why.
+        The rows up to the first pose that was missed, or not reached evenly, and why.
     Raises:
         ShapeError: arrays of another shape. InputError: a pose that is not rigid, joints that are not finite.
     """
@@ -142,10 +144,14 @@ def follow_line(
         max_iterations=int(config.max_iterations),
     )
     q = np.empty((len(X), len(q0)))
-    done, what, joint, a, b = _follow(chain, X, q0, zone, float(config.pull), longest, settings, q)
+    done, what, joint, a, b = _follow(
+        chain, X, q0, zone, float(config.pull), longest, float(config.max_bow_m), settings, q
+    )
     reason = "" if what == _COMPLETE else f"pose {done + 1} of {len(X)}: "
     if what == _MISSED:
         reason += f"the hand stays {1e3 * a:.1f} mm and {math.degrees(b):.1f} deg away"
+    elif what == _BOWED:
+        reason += f"on the way there the hand leaves the line by {1e3 * a:.1f} mm; at most {1e3 * b:.1f} is allowed"
     elif what == _JUMPED:
         unit = "m" if solver.slides[joint] else "rad"
         reason += (
@@ -155,7 +161,7 @@ def follow_line(
 
 
 @njit(cache=True, error_model="numpy")
-def _follow(chain, X, q0, zone, pull, longest, settings, out):  # type: ignore[no-untyped-def]
+def _follow(chain, X, q0, zone, pull, longest, max_bow, settings, out):  # type: ignore[no-untyped-def]
     """Rows of `out` (T, D) for poses `X` (T, 4, 4): (rows done, why, joint, its step or m, limit or rad)."""
     work, wish = work_arrays(chain), np.empty(q0.shape[0])
     before = q0
@@ -169,8 +175,23 @@ def _follow(chain, X, q0, zone, pull, longest, settings, out):  # type: ignore[n
         for d in range(q.shape[0]):
             if abs(q[d] - before[d]) > longest[d]:
                 return t, _JUMPED, d, abs(q[d] - before[d]), longest[d]
+        bow = _bow(chain, X[t - 1], X[t], before, q, wish, work) if t > 0 else 0.0
+        if bow > max_bow:
+            return t, _BOWED, 0, bow, max_bow
         before = q
     return X.shape[0], _COMPLETE, 0, 0.0, 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _bow(chain, A, B, q0, q1, middle, work):  # type: ignore[no-untyped-def]
+    """Metres between the middle of two hand poses and the hand half way from `q0` to `q1`."""
+    for d in range(q0.shape[0]):
+        middle[d] = 0.5 * (q0[d] + q1[d])
+    chain_pose(chain, middle, work.lines, work.pose)
+    squared = 0.0
+    for r in range(3):
+        squared += (work.pose[r, 3] - 0.5 * (A[r, 3] + B[r, 3])) ** 2
+    return math.sqrt(squared)
 
 
 @njit(cache=True, error_model="numpy")
