@@ -22,6 +22,7 @@ from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pi
 from neuralgrasps.planning.table_grasps import grasps_on_table
 from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import PlacedObject, PlanningWorld
+from neuralgrasps.sim.grip import grip_target
 
 PoseEstimator = Callable[[ObjectModel, TableView, Sighting], np.ndarray]
 """Another estimate of X_BO in place of ours: (object, view, our sighting) -> X_BO (4, 4)."""
@@ -35,7 +36,8 @@ class PickUpConfig:
 
     Attributes:
         plan: of the motion. want: grasps that clear the table; more are made when fewer are stored.
-        settle_s: pause before closing. close_s: time of closing; force: share of the hand's effort limits.
+        settle_s: pause before closing. close_s: time of closing. grip: see `grip_target`; force: share of the hand's
+            effort limits that may be used.
         hold_s: how long the object is held up.
     """
 
@@ -43,6 +45,7 @@ class PickUpConfig:
     want: int = 40
     settle_s: float = 0.3
     close_s: float = 1.2
+    grip: float = 1.0
     force: float = 1.0
     hold_s: float = 2.0
 
@@ -131,10 +134,9 @@ def plan_in(
     """The plan among grasps that clear the table, why there is none, and the CPU-seconds of finding such grasps."""
     assert world.target is not None
     cpu = time.thread_time()
-    on_table = grasps_on_table(
-        manipulator.hand, world.target.obj, table_B.moved(np.linalg.inv(world.target.X_BO)), stored=stored, want=config.want,
-        seed=seed,
-    )  # fmt: skip
+    hand, target = manipulator.hand, world.target
+    plane_O = table_B.moved(np.linalg.inv(target.X_BO))
+    on_table = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=config.want, seed=seed)
     made = time.thread_time() - cpu
     if len(on_table.grasps) == 0:
         return None, f"no grasp clears the table: {on_table.reason}", made
@@ -174,13 +176,19 @@ class Step:
 
 def pick_steps(plan: PickPlan, config: PickUpConfig) -> Iterator[Step]:
     """The steps of a plan in their order: open, transfer, approach, close, lift, hold."""
+
+    def approach(robot: Robot) -> None:
+        robot.execute(plan.approach)
+        robot.wait(config.settle_s)
+
+    def close(robot: Robot) -> None:
+        target = grip_target(robot.manipulator.hand, plan.q_grasp, plan.q_squeeze, grip=config.grip)
+        robot.move_hand(target, duration_s=config.close_s, force=config.force)
+
     yield Step(name="open", run=lambda robot: robot.move_hand(plan.q_pregrasp, duration_s=0.5))
     yield Step(name="transfer", run=lambda robot: robot.execute(plan.transfer))
-    yield Step(name="approach", run=lambda robot: (robot.execute(plan.approach), robot.wait(config.settle_s))[0])
-    yield Step(
-        name="close",
-        run=lambda robot: robot.move_hand(plan.q_squeeze, duration_s=config.close_s, force=config.force),
-    )
+    yield Step(name="approach", run=approach)
+    yield Step(name="close", run=close)
     yield Step(name="lift", run=lambda robot: robot.execute(plan.lift))
     yield Step(name="hold", run=lambda robot: robot.wait(config.hold_s))
 

@@ -14,7 +14,8 @@ from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.sim.camera import STRUCTURED_LIGHT
 from neuralgrasps.sim.contact_log import Thing
-from neuralgrasps.sim.tabletop import Recording, TableTop, TableTopConfig
+from neuralgrasps.sim.tabletop import Recording, TableTop
+from neuralgrasps.sim.tabletop_model import TableTopConfig
 
 _SETTLED_M = 0.001
 _FAR_M = 5.0  # what was taken away lies so far off, on the floor

@@ -23,7 +23,7 @@ from neuralgrasps.errors import InputError
 
 def bench(
     terminal: Terminal,
-    name: Annotated[Literal["demo", "synthesis", "latent", "pose"], tyro.conf.Positional],
+    name: Annotated[Literal["demo", "synthesis", "latent", "pose", "execute"], tyro.conf.Positional],
     /,
     *,
     objects: AllNames = (),
@@ -40,21 +40,23 @@ def bench(
 
     Args:
         name: demo, the whole path into a temporary folder; synthesis, speed and quality of grasps pair by pair;
-            latent, cost and quality of the latent space; or pose, errors and speed of pose estimates beside others'.
+            latent, cost and quality of the latent space; pose, errors and speed of pose estimates beside others'; or
+            execute, objects lifted in simulation, by pose method and robot.
         objects: names, mesh files or folders of mesh files; default the three objects of the demo, or all built-in;
-            latent and pose: the scans where they were imported or downloaded.
-        hands: default the five built-in hands; not of pose.
+            latent, pose and execute: the scans where they were imported or downloaded.
+        hands: default the five built-in hands; not of pose and execute.
         count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent; pose: scenes per object and
-            set, default 20, with --quick 10.
+            set, default 20, with --quick 10; execute: scenes per object, default 50, with --quick 5.
         seed: root of every random number.
         workers: processes.
         quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects; latent: the shipped run, and
-            two objects trained anew; pose: fewer scenes.
+            two objects trained anew; pose and execute: fewer scenes.
         unseen_hand: synthesis: also time 20 grasps of the soup can by this URDF or MJCF in a fresh process.
         run: latent: measure this run, by folder or shipped name, and train two of its objects anew.
         grasps: latent: folder of grasps; those of all pairs are made there first unless they are.
     """
     from neuralgrasps.cli.bench_demo import bench_demo
+    from neuralgrasps.cli.bench_execute import bench_execute
     from neuralgrasps.cli.bench_latent import bench_latent
     from neuralgrasps.cli.bench_pose import bench_pose
     from neuralgrasps.cli.bench_synthesis import bench_synthesis
@@ -71,6 +73,8 @@ def bench(
         raise InputError(f"--run and --grasps are of 'bench latent'; 'bench {name}' makes its own.")
     if name == "pose" and hands:
         raise InputError("--hands is not of 'bench pose': the hands are those of the shipped run.")
+    if name == "execute" and hands:
+        raise InputError("--hands is not of 'bench execute': it measures Fetch, and Panda with the Allegro hand.")
     measured_on = machine()
     if name == "demo":
         result = bench_demo(terminal, **options)
@@ -79,6 +83,9 @@ def bench(
     elif name == "pose":
         del options["hands"]
         result = bench_pose(terminal, **options)
+    elif name == "execute":
+        del options["hands"]
+        result = bench_execute(terminal, **options)
     else:
         result = bench_synthesis(terminal, **options, unseen_hand=unseen_hand)
     terminal.table(("figure", "value"), [(key, float(value)) for key, value in result["figures"].items()])

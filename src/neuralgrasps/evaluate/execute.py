@@ -18,10 +18,11 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.pick import PickPlan, PickResult
-from neuralgrasps.seeds import child_seed
 from neuralgrasps.planning.world import PlanningWorld
+from neuralgrasps.seeds import child_seed
 from neuralgrasps.sim.recheck import PathCheck, recheck_path
-from neuralgrasps.sim.tabletop import Recording, TableTopConfig
+from neuralgrasps.sim.tabletop import Recording
+from neuralgrasps.sim.tabletop_model import TableTopConfig
 
 PoseMethod = Literal["ours", "true", "baseline", "contact"]
 Cause = Literal["", "infeasible", "perception", "no plan", "collision", "push-away", "slip"]
@@ -36,7 +37,7 @@ class ExecuteConfig:
     """How trials are run.
 
     Attributes:
-        pose: where the object's pose comes from: "ours" (`estimate_pose` on the camera's depth), "true" (the simulator),
+        pose: where the object's pose comes from: "ours" (`estimate_pose` on the depth seen), "true" (the simulator),
             "baseline" and "contact" (the published estimates, Eq. 1 and 2).
         retries: further attempts, each with a new look, when the object is not held.
         pick: of the pick. sim: of the simulation.

@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -33,7 +34,8 @@ class PickConfig:
         standoff_m: length of the straight approach along the hand's approach axis; steps: waypoints on it.
         lift_m: height of the straight lift.
         clearance_m: least distance of the hand to the table and other objects at the grasp.
-        solutions: arm postures tried per grasp, from that many `starts` of inverse kinematics. max_grasps: grasps tried; None: all.
+        solutions: arm postures tried per grasp, from that many `starts` of inverse kinematics.
+        max_grasps: grasps tried; None: all.
         time_limit_s: no further grasp is begun after so long. Below it the result depends on the seed only.
         speed: share of the velocity limits for the transfer; accelerations are scaled by its square.
         approach_speed, lift_speed: of the hand, m/s.
@@ -279,14 +281,14 @@ class _Walk:
         clearance_m: float,
     ) -> PickPlan:
         m, config = self.manipulator, self.config
-        limits = {"joint_names": m.arm_names, "velocity": m.velocity, "acceleration": m.acceleration}
+        timed = partial(time_path, joint_names=m.arm_names, velocity=m.velocity, acceleration=m.acceleration)
         return PickPlan(
             grasp=self.grasps[index],
             index=index,
             X_BH=X_BH,
-            transfer=time_path(path, **limits, speed=config.speed),
-            approach=time_path(approach, **limits, hand_m=config.standoff_m, max_hand_speed=config.approach_speed),
-            lift=time_path(lift, **limits, hand_m=config.lift_m, max_hand_speed=config.lift_speed),
+            transfer=timed(path, speed=config.speed),
+            approach=timed(approach, hand_m=config.standoff_m, max_hand_speed=config.approach_speed),
+            lift=timed(lift, hand_m=config.lift_m, max_hand_speed=config.lift_speed),
             q_pregrasp=q_open,
             q_grasp=self.grasps.q[index],
             q_squeeze=self.grasps.q_squeeze[index],
