@@ -19,6 +19,7 @@ else:  # the C versions of the same, where the library was built with them
     SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 _MAX_MB = 256
+_DEEPEST = 40
 
 
 class _Dumper(SafeDumper):
@@ -76,29 +77,25 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     except OSError as error:
         raise InputError(f"cannot read '{path}': {error.strerror or error}; check the path.") from error
     try:
-        data = yaml.load(text, Loader=_Loader)  # _Loader is a safe one
-        _refuse_references(data, path)
+        _check_structure(text, path)
+        return yaml.load(text, Loader=_Loader)  # _Loader is a safe one
     except (yaml.YAMLError, ValueError, TypeError) as error:
         if isinstance(error, DataFormatError):
             raise
         raise DataFormatError(f"'{path}' is not a YAML file that can be read: {_one_line(error)}.") from error
-    except RecursionError as error:
-        raise DataFormatError(f"'{path}' is nested too deeply for a file of grasps or motions.") from error
-    return data
 
 
-def _refuse_references(data: Any, path: Path) -> None:
-    """Refuse a part that stands in several places, which a small file can use to become a huge one."""
-    seen: set[int] = set()
-    waiting = [data]
-    while waiting:
-        part = waiting.pop()
-        if not isinstance(part, dict | list):
-            continue
-        if id(part) in seen and part:
+def _check_structure(text: str, path: Path) -> None:
+    """Refuse parts that stand in several places, by which a small file can become a huge one, and deep nesting, on
+    which the C library runs out of stack."""
+    depth = 0
+    for event in yaml.parse(text, Loader=SafeLoader):
+        if isinstance(event, yaml.AliasEvent):
             raise DataFormatError(f"'{path}' uses references (& and *); expected plain YAML: write the parts out.")
-        seen.add(id(part))
-        waiting.extend(part.values() if isinstance(part, dict) else part)
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            raise DataFormatError(f"'{path}' is nested more than {_DEEPEST} deep; expected grasps or motions.")
 
 
 def _one_line(error: Exception) -> str:
