@@ -134,6 +134,13 @@ def test_no_way_is_said_within_the_number_of_edges() -> None:
     assert (path.q == START[None]).all()
 
 
+def test_a_detour_spares_the_search() -> None:
+    low = Disc(np.array([[1.0, 0.3, 0.1, 0.3]]))
+    by_detour = plan_path(low, START, GOAL, config=PathConfig(max_checks=1), seed=0)
+    assert by_detour.solved and low.gap(_dense(by_detour.q, 0.001)).min() > -1e-3
+    assert not plan_path(low, START, GOAL, config=PathConfig(max_checks=1, detours=0), seed=0).solved
+
+
 def test_a_time_limit_ends_the_search_too() -> None:
     path = plan_path(CLOSED, START, GOAL, config=PathConfig(max_checks=10**9, time_limit_s=0.05))
     assert not path.solved and "0.05 s" in path.reason

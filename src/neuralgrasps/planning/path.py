@@ -1,4 +1,4 @@
-"""Collision-free joint paths: the straight line, else sampling-based search, then shortcuts and round corners."""
+"""Collision-free joint paths: a straight line, a detour, else a search by samples; then shortcuts and round corners."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from neuralgrasps.planning.path_search import search_path
 from neuralgrasps.planning.path_shape import round_corners, shorten
 from neuralgrasps.seeds import child_rng, child_seed
 
+_SPREADS_S = (0.2, 0.4, 0.6, 0.8)  # of detours about the half-way posture, in turn: each joint's way over its top speed
 _SLACK = 1e-6  # rad or metres that a start or goal may be outside its limits
 
 
@@ -21,6 +22,7 @@ class PathConfig:
     """How a path is looked for. Lengths of edges are in seconds: each joint's way over its top speed, 2-norm.
 
     Attributes:
+        detours: paths of two straight lines that are tried before the search.
         step_s: longest edge that the search tries at once.
         max_checks: edges that the search may check; what it finds within them depends on the seed only.
         time_limit_s: wall time after which the search ends as well; None: no such limit.
@@ -28,10 +30,11 @@ class PathConfig:
         corner_s: corners are rounded within this length of each side, or less where that is not free; 0: not at all.
     """
 
+    detours: int = 60
     step_s: float = 0.5
     max_checks: int = 4000
     time_limit_s: float | None = None
-    shortcuts: int = 60
+    shortcuts: int = 25
     corner_s: float = 0.4
 
     def __post_init__(self) -> None:
@@ -41,8 +44,8 @@ class PathConfig:
             )
         if self.time_limit_s is not None and not self.time_limit_s > 0:
             raise InputError(f"path: time_limit_s is {self.time_limit_s}; expected a positive number or None.")
-        if self.shortcuts < 0 or self.corner_s < 0:
-            raise InputError("path: shortcuts and corner_s must not be negative.")
+        if min(self.detours, self.shortcuts, self.corner_s) < 0:
+            raise InputError("path: detours, shortcuts and corner_s must not be negative.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,8 +80,9 @@ def plan_path(
 ) -> PathResult:
     """A collision-free path to any of some goals.
 
-    The straight line to each goal is tried first, nearest first; then RRT-Connect searches between the start and all
-    goals at once. What it finds is shortened and its corners are rounded, every edge checked again.
+    The straight line to each goal is tried first, nearest first; then detours by one random posture; then RRT-Connect
+    searches between the start and all goals at once. What is found is shortened and its corners are rounded, every
+    edge checked again.
 
     Args:
         checker: its `manipulator` gives the limits.
@@ -123,15 +127,9 @@ def _solve(
     for k in free:
         if counted(q_start, q_goals[k]):
             return np.stack([q_start, q_goals[k]]), "", True
-    found = search_path(
-        counted,
-        q_start,
-        q_goals[free],
-        step_s=config.step_s,
-        max_checks=config.max_checks,
-        time_limit_s=config.time_limit_s,
-        seed=child_seed(seed, "search"),
-    )
+    found = _detour(counted, q_start, q_goals[free], config.detours, child_rng(seed, "detours"))
+    if found is None:
+        found = _search(counted, q_start, q_goals[free], config, seed)
     if found is None:
         return None, f"no path was found within {_limits(config)}.", False
     rng = child_rng(seed, "shortcuts")
@@ -141,6 +139,34 @@ def _solve(
         if counted.all_free(q):
             return q, "", len(q) == 2
     return None, "the path that was found did not pass a second check.", False
+
+
+def _detour(
+    counted: CountedChecker, q_start: np.ndarray, q_goals: np.ndarray, tries: int, rng: np.random.Generator
+) -> np.ndarray | None:
+    """Two free lines by a posture about half-way to one of the goals, all in turn; this often spares a search."""
+    robot = counted.checker.manipulator
+    for k in range(tries):
+        goal = q_goals[k % len(q_goals)]
+        away = _SPREADS_S[k % len(_SPREADS_S)] * robot.velocity * rng.standard_normal(len(q_start))
+        via = np.clip(0.5 * (q_start + goal) + away, robot.lower, robot.upper)
+        if np.asarray(counted.checker.is_free(via[None]))[0] and counted(via, goal) and counted(q_start, via):
+            return np.stack([q_start, via, goal])
+    return None
+
+
+def _search(
+    counted: CountedChecker, q_start: np.ndarray, q_goals: np.ndarray, config: PathConfig, seed: int
+) -> np.ndarray | None:
+    return search_path(
+        counted,
+        q_start,
+        q_goals,
+        step_s=config.step_s,
+        max_checks=config.max_checks,
+        time_limit_s=config.time_limit_s,
+        seed=child_seed(seed, "search"),
+    )
 
 
 def _limits(config: PathConfig) -> str:
