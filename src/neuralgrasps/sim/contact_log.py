@@ -78,7 +78,7 @@ class ContactLog:
     """Largest force and depth of every pair of things, phase by phase.
 
     Args:
-        model: the model. bodies: the things, robot first, then objects, then surroundings. owner: (G,) index into
+        bodies: the things, robot first, then objects, then surroundings. owner: (G,) index into
             `bodies` of every geom.
     """
 

@@ -172,7 +172,7 @@ def _overlaps(data: mujoco.MjData, names: Sequence[str]) -> dict[tuple[str, str]
     contact = data.contact
     for (a, b), distance in zip(contact.geom, contact.dist, strict=True):
         if distance < 0.0:
-            pair = names[a], names[b]
+            pair = names[int(a)], names[int(b)]
             found[pair] = max(found.get(pair, 0.0), -float(distance))
     return found
 
@@ -182,9 +182,9 @@ def _still_overlap(model: mujoco.MjModel, data: mujoco.MjData, tree: KinematicTr
     mujoco.mj_kinematics(model, data)
     still = model.body_weldid[model.geom_bodyid] == 0
     link = geom_links(model, tree.num_links)
-    for a in np.flatnonzero(still & (link >= 0)):
-        for b in np.flatnonzero(still & (link < 0)):
-            distance = mujoco.mj_geomDistance(model, data, int(a), int(b), 0.01, None)
+    for a in map(int, np.flatnonzero(still & (link >= 0))):
+        for b in map(int, np.flatnonzero(still & (link < 0))):
+            distance = mujoco.mj_geomDistance(model, data, a, b, 0.01, None)
             if distance < -_EXACT_M:
                 return f"{names[a]} and {names[b]} overlap by {-1e3 * distance:.2f} mm, and neither moves"
     return ""

@@ -88,7 +88,6 @@ class TableTop:
         manipulator: the robot; starts at home with an open hand.
         objects: models and poses X_BO (4, 4); index k everywhere is the place in this list.
         table: the table top. boxes: further boxes.
-        X_BC: (4, 4) a camera beside the robot; None: the arm's own.
     Raises:
         ShapeError, InputError, RobotDescriptionError: what is wrong with the arguments.
     """
@@ -185,7 +184,7 @@ class TableTop:
         self.data.qvel[speed : speed + 6] = 0.0
         mujoco.mj_forward(self.model, self.data)
 
-    def settle(self, max_s: float = 1.5) -> Settling:
+    def settle(self, max_s: float = 3.0) -> Settling:
         """Stand still until all objects do, at most `max_s`."""
         before, start = self._object_frames(), self.time_s
         still = 0
