@@ -149,6 +149,12 @@ def test_equal_starts_are_one_solution(make_robot: Callable[[str], Manipulator])
     result = solve_ik(robot, reference_poses(robot, q), starts=np.concatenate([q, q, q + 2 * np.pi]))
     assert result.converged.all()
     assert result.distinct.tolist() == [[True, False, False]]
+    # half a turn from `q_near` a solution may come back on either side of it
+    beside = q + np.random.default_rng(0).normal(scale=1e-2, size=(16, 6))
+    result = solve_ik(robot, reference_poses(robot, q), starts=beside, q_near=q[0] - np.sign(q[0]) * np.pi)
+    assert result.converged.all()
+    assert np.ptp(result.q[0], axis=0).max() > 6.0
+    assert result.distinct.sum() == 1
 
 
 def test_turning_joints_come_back_near_a_posture(make_robot: Callable[[str], Manipulator]) -> None:
@@ -169,6 +175,16 @@ def test_a_posture_given_is_tried_first(make_robot: Callable[[str], Manipulator]
     for q in random_postures(robot, 10, 11):
         found = ik_solver(robot).solutions(robot.hand_pose(q), max_solutions=1, q_near=q)
         np.testing.assert_array_equal(found, q[None])
+
+
+def test_solutions_come_in_the_order_of_the_way_from_a_posture(make_robot: Callable[[str], Manipulator]) -> None:
+    robot = make_robot("fetch")
+    near = robot.q_home[robot.arm_dofs]
+    for X in reference_poses(robot, random_postures(robot, 10, 19)):
+        found = ik_solver(robot).solutions(X, max_solutions=8, q_near=near)
+        seconds = (np.abs(found - near) / robot.velocity).max(axis=1)
+        assert len(found) > 1
+        assert (np.diff(seconds) >= 0).all()
 
 
 def test_unreachable_poses_say_so(robot: Manipulator) -> None:

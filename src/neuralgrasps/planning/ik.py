@@ -171,8 +171,9 @@ class IkSolver:
     ) -> np.ndarray:
         """Distinct solutions (S, D), S <= `max_solutions`, for one hand pose (4, 4); none where none was found.
 
-        The quick way for one pose after another: the table's `starts` nearest postures are tried in turn, after
-        `q_near` itself if it is given, and the rest is left when there are enough solutions.
+        The quick way for one pose after another: the table's `starts` nearest postures are tried in turn and the rest
+        is left when there are enough solutions. With `q_near` (D,) that posture is tried before all, and the solutions
+        come in the order of the time it takes to move there from it at full speed.
 
         Raises:
             ShapeError, InputError: as `solve`.
@@ -183,7 +184,11 @@ class IkSolver:
         near = self.q_home if q_near is None else self.checked_posture("q_near", q_near)
         count, enough = self._checked_count(starts), self._checked_wish(max_solutions)
         packed = (self.chain, self.reach, self.table)
-        return _search(packed, X, near, q_near is not None, count, enough, self.config.apart, self.settings)
+        q = _search(packed, X, near, q_near is not None, count, enough, self.config.apart, self.settings)
+        if q_near is None or len(q) < 2:
+            return np.asarray(q)
+        seconds = (np.abs(q - near) / self.manipulator.velocity).max(axis=1)
+        return np.asarray(q[np.argsort(seconds, kind="stable")])
 
     def starts(self, X_BH: np.ndarray, count: int) -> np.ndarray:
         """Postures (N, count, D) of the table whose hand poses are near `X_BH` (N, 4, 4), nearest first."""

@@ -231,6 +231,7 @@ def nearest_turn(chain, q, near):  # type: ignore[no-untyped-def]
                 q[d] += turn * math.ceil((chain.lower[d] - q[d]) / turn)
             elif q[d] > chain.upper[d]:
                 q[d] -= turn * math.ceil((q[d] - chain.upper[d]) / turn)
+            q[d] = min(max(q[d], chain.lower[d]), chain.upper[d])  # rounding
 
 
 @njit(cache=True, error_model="numpy")
