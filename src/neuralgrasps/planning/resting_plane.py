@@ -14,6 +14,7 @@ from neuralgrasps.synthesis.prepared import Memory
 SNAP_RAD = np.radians(6.0)  # an object that leans by less, or floats or sinks by less than the next, lies on its face
 SNAP_M = 0.010
 _NORMAL_STEP = 1.0 / 64.0  # about a degree
+_FINER = 8  # times as fine is the rounding of planes that are one of few anyway
 _OFFSET_STEP_M = 1.0e-3
 _PLANES = Memory[tuple[Plane, ...]]()
 
@@ -36,10 +37,11 @@ def nearest_resting_plane(obj: ObjectModel, plane_O: Plane) -> Plane | None:
     return best if best is not None and best.normal @ plane_O.normal > np.cos(SNAP_RAD) else None
 
 
-def rounded_plane(plane: Plane) -> Plane:
-    """A plane with its normal rounded to about 1 degree and its offset to 1 mm."""
-    normal = np.round(plane.normal / _NORMAL_STEP) * _NORMAL_STEP
-    offset = round(plane.offset_m / _OFFSET_STEP_M) * _OFFSET_STEP_M
+def rounded_plane(plane: Plane, *, finely: bool = False) -> Plane:
+    """A plane with its normal rounded to about 1 degree and its offset to 1 mm, or to an eighth of these."""
+    steps = _FINER if finely else 1
+    normal = np.round(plane.normal / _NORMAL_STEP * steps) * _NORMAL_STEP / steps
+    offset = round(plane.offset_m / _OFFSET_STEP_M * steps) * _OFFSET_STEP_M / steps
     return Plane(normal / np.linalg.norm(normal) + 0.0, offset + 0.0)
 
 

@@ -178,13 +178,14 @@ def _made(
     Those for the nearest resting pose serve, unless the object leans so that too few of them are left.
     """
     resting = nearest_resting_plane(obj, support.plane)
+    as_seen = rounded_plane(support.plane)
     if resting is None:
-        return _usable_of(hand, _made_for(hand, obj, support.plane, support, config, want, seed), support)
+        return _usable_of(hand, _made_for(hand, obj, as_seen, support, config, want, seed), support)
     made = _made_for(hand, obj, resting, support, config, want, seed)
     usable, reason = _usable_of(hand, made, support)
     if len(usable) >= _FEW * len(made):
         return usable, reason
-    here, why = _usable_of(hand, _made_for(hand, obj, support.plane, support, config, want, seed), support)
+    here, why = _usable_of(hand, _made_for(hand, obj, as_seen, support, config, want, seed), support)
     return (here, why) if len(here) > len(usable) else (usable, reason)
 
 
@@ -192,7 +193,7 @@ def _usable_of(hand: Hand, made: GraspSet, support: Support) -> tuple[GraspSet, 
     """Those of the grasps made that clear the table as it was seen, and why there are few."""
     usable, reason = _usable(hand, made, support), made.config["shortfall"]
     if len(usable) < len(made):
-        lost = f"{len(usable)} of {len(made)} grasps made for the resting pose clear the table as it was seen"
+        lost = f"{len(usable)} of {len(made)} grasps made for this pose clear the table as it was seen"
         reason = f"{reason}; {lost}" if reason else lost
     return usable, reason
 
@@ -200,12 +201,14 @@ def _usable_of(hand: Hand, made: GraspSet, support: Support) -> tuple[GraspSet, 
 def _made_for(
     hand: Hand, obj: ObjectModel, plane_O: Plane, support: Support, config: TableGraspConfig, want: int, seed: int
 ) -> GraspSet:
-    """Grasps made for `plane_O`, rounded; `config["shortfall"]` says why there are fewer than wanted, if so."""
+    """Grasps made for `plane_O`; `config["shortfall"]` says why there are fewer than wanted, if so."""
     back = np.eye(4)
     if _exact_symmetry(obj, config):
         plane_O, back = representative(obj, plane_O)
     planned = Support(
-        plane=rounded_plane(plane_O), clearance_m=support.clearance_m + config.spare_m, retreat_m=support.retreat_m
+        plane=rounded_plane(plane_O, finely=True),
+        clearance_m=support.clearance_m + config.spare_m,
+        retreat_m=support.retreat_m,
     )
     settings = replace(config.synthesis, count=want)
 

@@ -8,13 +8,15 @@ from itertools import combinations
 
 import numpy as np
 
+from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_rng
 from neuralgrasps.synthesis.candidates import GraspProblem
-from neuralgrasps.synthesis.oppose import tip_points
-from neuralgrasps.synthesis.propose import draw_pairs, draw_preshapes, jaw_aperture
+from neuralgrasps.synthesis.oppose import perpendicular, tip_points
+from neuralgrasps.synthesis.propose import TIP_M, draw_pairs, draw_preshapes, jaw_aperture
+from neuralgrasps.synthesis.support import WIDTH_SHARE, Support
 
 TOO_WIDE, TOO_SMALL, TOO_THIN = "too wide", "too small", "too thin"
 NO_OPPOSITE_SIDES, NO_ROOM = "no opposite sides", "no room"
@@ -28,6 +30,8 @@ KINDS = (
 JAW_CLEARANCE_M = 2.0e-3  # pairs nearer to the aperture than this are not proposed
 SMALL_M = 0.03  # an object with no side longer may be too small for fingertips
 THIN_M = 0.006
+UNDER_M = 0.01  # a finger under a side that faces the table is thicker than this
+_FACE_M = 0.005  # of the lowest part of an object, what it stands on
 _RAYS, _POSTURES = 8192, 512
 _CORNERS = 0.05  # of the widths, the narrowest: slanted across a corner, where nothing can hold
 _OBSTACLES = {
@@ -36,6 +40,7 @@ _OBSTACLES = {
     "no force closure": NO_FORCE_CLOSURE,
     "penetrates": OVERLAPS,
     "self-collides": NO_ROOM,
+    "meets the table": NO_ROOM,
 }
 
 
@@ -108,15 +113,48 @@ def why_short(
     )
 
 
-def grip_widths(obj: ObjectModel, friction: float) -> np.ndarray:
+def grip_widths(obj: ObjectModel, friction: float, support: Support | None = None) -> np.ndarray:
     """Distances (M,) between opposite surface points whose friction cones face each other, metres, sorted.
 
-    Rays from surface points; empty where no two sides of the object oppose each other.
+    Rays from surface points; empty where no two sides of the object oppose each other. Beside a support only points
+    count that leave room for a finger above it: `UNDER_M` under the lower one of a pair that stands upright.
     """
     across = float(np.linalg.norm(obj.mesh.extents)) + 0.01
     rng = child_rng(0, obj.content_hash, "grip widths")
     start, exits, keep = draw_pairs(obj, _RAYS, friction, across, rng)
-    return np.sort(np.linalg.norm(exits - start, axis=1)[keep])
+    width = np.linalg.norm(exits - start, axis=1)
+    if support is not None:
+        ends = np.stack([support.plane.height(start), support.plane.height(exits)])
+        steep = np.abs(ends[1] - ends[0]) / np.maximum(width, 1e-9)
+        keep &= ends.min(axis=0) > support.clearance_m + TIP_M + UNDER_M * steep
+    return np.sort(width[keep])
+
+
+def lying_text(obj: ObjectModel, plane_O: Plane) -> str:
+    """How an object lies on a plane: "lying on its 158 x 210 mm face", "standing on its 60 x 158 mm face".
+
+    One that touches the plane with less than half of what it covers is "lying, 66 x 101 mm and 66 mm high".
+    """
+    vertices = obj.mesh.vertices
+    height = plane_O.height(vertices)
+    low, high = height.min(), np.ptp(height)
+    across = vertices @ perpendicular(plane_O.normal[None], np.zeros(1))[0]
+    along = vertices @ perpendicular(plane_O.normal[None], np.full(1, np.pi / 2))[0]
+    flat = np.stack([across, along], axis=1)
+    under, covered = _rectangle(flat[height < low + _FACE_M]), _rectangle(flat)
+    if under[0] * under[1] < 0.5 * covered[0] * covered[1]:
+        return f"lying, {1e3 * covered[0]:.0f} x {1e3 * covered[1]:.0f} mm and {1e3 * high:.0f} mm high"
+    word = "standing" if high > covered[1] else "lying"
+    return f"{word} on its {1e3 * under[0]:.0f} x {1e3 * under[1]:.0f} mm face"
+
+
+def _rectangle(points: np.ndarray) -> tuple[float, float]:
+    """Sides of the smallest rectangle, by turns of a degree, around (M, 2) points, the shorter first."""
+    angle = np.radians(np.arange(90.0))
+    u = np.ptp(points @ np.stack([np.cos(angle), np.sin(angle)]), axis=0)
+    v = np.ptp(points @ np.stack([-np.sin(angle), np.cos(angle)]), axis=0)
+    best = int(np.argmin(u * v))
+    return min(u[best], v[best]), max(u[best], v[best])
 
 
 def hand_span(hand: Hand, problem: GraspProblem) -> float:
@@ -145,7 +183,7 @@ def hand_span(hand: Hand, problem: GraspProblem) -> float:
 
 def _unfit(problem: GraspProblem) -> Shortfall | None:
     """Sizes that do not go together, where that is plain."""
-    hand, obj = problem.hand, problem.obj
+    hand, obj, support = problem.hand, problem.obj, problem.support
     widths = grip_widths(obj, problem.friction)
     thin, cell = float(obj.mesh.extents.min()), obj.sdf.spacing
     if len(widths) == 0 and thin < 2 * cell:
@@ -165,15 +203,37 @@ def _unfit(problem: GraspProblem) -> Shortfall | None:
         return Shortfall(
             kind=TOO_WIDE, clause=f"narrowest graspable width {1e3 * narrowest:.0f} mm, {what} {1e3 * span:.0f} mm"
         )
-    return None
+    return None if support is None else _unfit_beside(problem, support, span)
+
+
+def _unfit_beside(problem: GraspProblem, support: Support, span: float) -> Shortfall | None:
+    """What the plane under the object takes away, where that is plain: the sides that face it and the one opposite."""
+    hand, obj = problem.hand, problem.obj
+    lying, widths = lying_text(obj, support.plane), grip_widths(obj, problem.friction, support)
+    if len(widths) == 0:
+        return Shortfall(
+            kind=NO_OPPOSITE_SIDES,
+            clause=f"{lying}: no two surface points face each other within friction {problem.friction:g} high enough "
+            f"over the table for fingers {1e3 * support.clearance_m:.1f} mm above it",
+        )
+    most, what = (WIDTH_SHARE * span, "aperture") if hand.is_jaw else (span, "fingers span")
+    narrowest = widths[int(_CORNERS * len(widths))]
+    if narrowest <= most:
+        return None
+    return Shortfall(
+        kind=TOO_WIDE,
+        clause=f"{lying}: narrowest width across the table {1e3 * narrowest:.0f} mm, {what} {1e3 * most:.0f} mm",
+    )
 
 
 def _no_valid(problem: GraspProblem, outcomes: Mapping[str, int], closed: int) -> Shortfall:
     """No closed hand was a grasp: the commonest obstacle, and the object's size where that may be the cause."""
     sides = np.sort(problem.obj.mesh.extents)
     if closed == 0:
+        where = "" if problem.support is None else f", {lying_text(problem.obj, problem.support.plane)},"
         return Shortfall(
-            kind=NO_ROOM, clause=f"no open hand comes near the object, which measures {size_text(problem.obj)}"
+            kind=NO_ROOM,
+            clause=f"no open hand comes near the object{where or ','} which measures {size_text(problem.obj)}",
         )
     worst = max((name for name in outcomes if name != "valid"), key=lambda name: outcomes[name])
     clause = f"{outcomes[worst]} of {closed} closed hands {_SAID[worst]}"
@@ -190,6 +250,7 @@ _SAID = {
     "no force closure": "could not resist a push from every side",
     "penetrates": "cut into it",
     "self-collides": "ran into themselves",
+    "meets the table": "came too near to the table",
 }
 
 
