@@ -179,6 +179,25 @@ def test_recording_holds_states_and_phases(robot: Manipulator, heavy: ObjectMode
     np.testing.assert_array_equal(recording.X_BO[-1, 0], top.object_pose(0))
 
 
+def test_objects_can_be_placed_and_taken_away(robot: Manipulator, heavy: ObjectModel) -> None:
+    top = scene(robot, heavy)
+    start = top.object_pose(0)
+    top.take_away(0)
+    far = top.object_pose(0)
+    top.log.clear()
+    top.begin("without")
+    top.move_hand(np.zeros(1), 0.3)
+    assert top.touches(["without"]) == () or {t.b.kind for t in top.touches(["without"])} == {Thing.HAND}
+    np.testing.assert_array_equal(top.object_pose(0), far)
+    top.move_hand(robot.hand.q_open, 0.3)
+    top.place(0, start)
+    np.testing.assert_allclose(top.object_pose(0), start, atol=1e-12)
+    assert not top.settle().moved() and any(t.a.kind is Thing.OBJECT for t in top.touching())
+    top.take_away(0)
+    top.reset()
+    assert not top.settle().moved()
+
+
 def test_a_broken_simulation_is_never_a_success(robot: Manipulator, heavy: ObjectModel) -> None:
     top = scene(robot, heavy)
     top.data.qvel[:] = 1e12

@@ -11,6 +11,7 @@ import numpy as np
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.errors import InputError, ShapeError, check_shape
+from neuralgrasps.geometry.se3_numpy import make_transform_np
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.sim.camera import DepthNoise, DepthView
 from neuralgrasps.sim.contact_log import Body, ContactLog, Thing, Touch
@@ -22,6 +23,7 @@ from neuralgrasps.sim.tabletop_view import SceneMeshes
 
 _STILL_SPEED = 0.01  # m/s and rad/s: slower objects have settled
 _STILL_STEPS = 25
+_FAR_M = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,10 +130,12 @@ class TableTop:
         model, data = self.model, self.data
         mujoco.mj_resetData(model, data)
         model.actuator_forcerange[:] = self._effort
+        for k in range(len(self.objects)):
+            self._set_present(k, present=True)
         q = self._moving_q(self.manipulator.q_home)
         data.qpos[self._qpos] = self.tree.joint_positions(q)[self._links]
-        for at, X_BO in zip(self._object_qpos, self._start, strict=True):
-            data.qpos[at : at + 3], data.qpos[at + 3 : at + 7] = position_quaternion(X_BO)
+        for k, X_BO in enumerate(self._start):
+            self._set_pose(k, X_BO)
         self._target = q.copy()
         self._every = 0
         self._steps = 0
@@ -182,6 +186,19 @@ class TableTop:
         position, quaternion = position_quaternion(np.asarray(X_BO, np.float64))
         self.data.qpos[at : at + 7] = [*position, *quaternion]
         self.data.qvel[speed : speed + 6] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
+    def place(self, index: int, X_BO: np.ndarray) -> None:
+        """Put object `index` to a pose (4, 4), at rest; one that was taken away is back."""
+        check_shape("X_BO", np.shape(X_BO), (4, 4))
+        self._set_present(index, present=True)
+        self._set_pose(index, np.asarray(X_BO, np.float64))
+        mujoco.mj_forward(self.model, self.data)
+
+    def take_away(self, index: int) -> None:
+        """Put object `index` far off, where it floats and touches nothing until it is placed or all is reset."""
+        self._set_present(index, present=False)
+        self._set_pose(index, make_transform_np(translation=[0.0, _FAR_M * (index + 1), -_FAR_M]))
         mujoco.mj_forward(self.model, self.data)
 
     def settle(self, max_s: float = 3.0) -> Settling:
@@ -317,6 +334,18 @@ class TableTop:
         if len(targets):
             self._target = targets[-1].copy()
         return worst
+
+    def _set_pose(self, index: int, X_BO: np.ndarray) -> None:
+        at, v = self._object_qpos[index], self._object_qvel[index]
+        self.data.qpos[at : at + 3], self.data.qpos[at + 3 : at + 7] = position_quaternion(X_BO)
+        self.data.qvel[v : v + 6] = 0.0
+
+    def _set_present(self, index: int, *, present: bool) -> None:
+        """Whether an object has weight and touches."""
+        body = self.model.body(f"object_{index}").id
+        geoms = self.model.geom_bodyid == body
+        self.model.geom_contype[geoms] = self.model.geom_conaffinity[geoms] = int(present)
+        self.model.body_gravcomp[body] = 0.0 if present else 1.0
 
     def _keep(self) -> None:
         self._states.append((self.time_s, self.q, self.object_poses(), self.phase))

@@ -201,7 +201,8 @@ def _damp_arm(model: mujoco.MjModel, manipulator: Manipulator, tree: KinematicTr
     positions = tree.joint_positions(q_home)
     for link in np.flatnonzero(tree.joint_types):
         data.qpos[model.joint(joint_name(int(link))).qposadr[0]] = positions[link]
-    mujoco.mj_forward(model, data)
+    for compute in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_makeM):  # without contacts: all objects are at 0
+        compute(model, data)
     inertia = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, inertia)
     links, gain, _ = tree_leaders(tree, manipulator.name)
