@@ -4,7 +4,7 @@ A message is a plain dict of its fields, nested as the .msg files nest: what YAM
 with `rosidl_runtime_py.set_message_fields`.
 
 Source: the public definitions of std_msgs, geometry_msgs, trajectory_msgs, control_msgs and moveit_msgs,
-https://docs.ros.org (names and types only, written down as a table).
+https://docs.ros.org/en/jazzy/ (names and types only, written down as a table); ROS 1: as of Noetic.
 """
 
 from __future__ import annotations
