@@ -9,7 +9,11 @@ from enum import StrEnum
 import mujoco
 import numpy as np
 
+from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.compiled import njit
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.sim.self_contact import geom_links
+from neuralgrasps.sim.tabletop_model import FLOOR, SolidBox
 
 
 class Thing(StrEnum):
@@ -48,6 +52,17 @@ class Touch:
     max_force_n: float
     max_depth_m: float
     first_s: float
+
+    def unwanted(self, target: int) -> bool:
+        """Should it not have been, when the hand picks up object `target`?
+
+        The robot may touch that object with its hand; the object may touch the table, and was near nothing else.
+        """
+        a, b = self.a, self.b
+        if a.kind is Thing.ARM or (a.kind is Thing.HAND and not (b.kind is Thing.OBJECT and b.index == target)):
+            return True
+        is_target = [x.kind is Thing.OBJECT and x.index == target for x in (a, b)]
+        return any(is_target) and (a.kind is b.kind is Thing.OBJECT or b.kind is Thing.BOX)
 
     def __str__(self) -> str:
         return (
@@ -134,3 +149,24 @@ class ContactLog:
             phase=phase, a=self.bodies[i], b=self.bodies[j], max_force_n=float(force[i, j]),
             max_depth_m=float(depth[i, j]), first_s=float(first[i, j]),
         )  # fmt: skip
+
+
+def scene_things(
+    model: mujoco.MjModel, manipulator: Manipulator, objects: Sequence[ObjectModel], boxes: Sequence[SolidBox]
+) -> tuple[list[Body], np.ndarray]:
+    """Everything that can touch in a model of `tabletop_model`, and which of it each geom is: `ContactLog`'s."""
+    links = manipulator.tree.link_names
+    bodies = [
+        Body(kind=Thing.HAND if i >= manipulator.hand_link else Thing.ARM, name=name, index=i)
+        for i, name in enumerate(links)
+    ]
+    owner = geom_links(model, len(links))
+    for k, obj in enumerate(objects):
+        owner[model.geom_bodyid == model.body(f"object_{k}").id] = len(bodies)
+        bodies.append(Body(kind=Thing.OBJECT, name=obj.name, index=k))
+    for k, box in enumerate(boxes):
+        owner[model.geom(f"box_{k}").id] = len(bodies)
+        bodies.append(Body(kind=Thing.BOX if k else Thing.TABLE, name=box.name, index=k))
+    owner[model.geom(FLOOR).id] = len(bodies)
+    bodies.append(Body(kind=Thing.FLOOR, name=FLOOR, index=0))
+    return bodies, owner

@@ -14,11 +14,11 @@ from neuralgrasps.errors import InputError, ShapeError, check_shape
 from neuralgrasps.geometry.se3_numpy import make_transform_np
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.sim.camera import DepthNoise, DepthView
-from neuralgrasps.sim.contact_log import Body, ContactLog, Thing, Touch
+from neuralgrasps.sim.contact_log import ContactLog, Touch, scene_things
 from neuralgrasps.sim.grasp_trial import DIVERGED, silent_engine
 from neuralgrasps.sim.robot_bodies import free_pose, position_quaternion, tree_leaders
-from neuralgrasps.sim.self_contact import geom_links, held_tree, moving_joints
-from neuralgrasps.sim.tabletop_model import FLOOR, SolidBox, TableTopConfig, floor_height, tabletop_model
+from neuralgrasps.sim.self_contact import held_tree, moving_joints
+from neuralgrasps.sim.tabletop_model import SolidBox, TableTopConfig, floor_height, tabletop_model
 from neuralgrasps.sim.tabletop_view import SceneMeshes
 
 _STILL_SPEED = 0.01  # m/s and rad/s: slower objects have settled
@@ -121,7 +121,7 @@ class TableTop:
         self._lead = -self.model.actuator_biasprm[:, 2] / self.model.actuator_gainprm[:, 0]  # kv / kp
         self._lead[len(manipulator.arm_dofs) :] = 0.0
         self._effort = self.model.actuator_forcerange.copy()
-        self.log = ContactLog(*_things(self))
+        self.log = ContactLog(*scene_things(self.model, manipulator, self.objects, self.boxes))
         self._meshes = SceneMeshes(manipulator, self.objects, self.boxes, floor_height(table, self.config))
         self.reset()
 
@@ -178,15 +178,6 @@ class TableTop:
         """X_BO (K, 4, 4) of all objects."""
         poses = [self.object_pose(k) for k in range(len(self.objects))]
         return np.stack(poses) if poses else np.zeros((0, 4, 4))
-
-    def place(self, index: int, X_BO: np.ndarray) -> None:
-        """Put object `index` at X_BO (4, 4), at rest."""
-        check_shape("X_BO", np.shape(X_BO), (4, 4))
-        at, speed = self._object_qpos[index], self._object_qvel[index]
-        position, quaternion = position_quaternion(np.asarray(X_BO, np.float64))
-        self.data.qpos[at : at + 7] = [*position, *quaternion]
-        self.data.qvel[speed : speed + 6] = 0.0
-        mujoco.mj_forward(self.model, self.data)
 
     def place(self, index: int, X_BO: np.ndarray) -> None:
         """Put object `index` to a pose (4, 4), at rest; one that was taken away is back."""
@@ -277,7 +268,7 @@ class TableTop:
     def hits(self, target: int, phases: Sequence[str] | None = None) -> tuple[Touch, ...]:
         """Contacts that should not have been: the robot with anything but object `target` in its hand; the target
         with other objects or boxes. The target's contact with the table is none."""
-        return tuple(t for t in self.touches(phases) if _unwanted(t.a, t.b, target))
+        return tuple(t for t in self.touches(phases) if t.unwanted(target))
 
     def record(self, every_s: float = 0.02) -> None:
         """Keep states from now on, every `every_s` seconds (rounded to steps)."""
@@ -372,33 +363,6 @@ class TableTop:
             X[:3, 3] += X[:3, :3] @ np.asarray(obj.com_O)
             frames.append(X)
         return frames
-
-
-def _things(scene: TableTop) -> tuple[list[Body], np.ndarray]:
-    """Everything that can touch, and which of it each geom is."""
-    manipulator, model = scene.manipulator, scene.model
-    links = manipulator.tree.link_names
-    bodies = [
-        Body(kind=Thing.HAND if i >= manipulator.hand_link else Thing.ARM, name=name, index=i)
-        for i, name in enumerate(links)
-    ]
-    owner = geom_links(model, len(links))
-    for k, obj in enumerate(scene.objects):
-        owner[model.geom_bodyid == model.body(f"object_{k}").id] = len(bodies)
-        bodies.append(Body(kind=Thing.OBJECT, name=obj.name, index=k))
-    for k, box in enumerate(scene.boxes):
-        owner[model.geom(f"box_{k}").id] = len(bodies)
-        bodies.append(Body(kind=Thing.BOX if k else Thing.TABLE, name=box.name, index=k))
-    owner[model.geom(FLOOR).id] = len(bodies)
-    bodies.append(Body(kind=Thing.FLOOR, name=FLOOR, index=0))
-    return bodies, owner
-
-
-def _unwanted(a: Body, b: Body, target: int) -> bool:
-    if a.kind is Thing.ARM or (a.kind is Thing.HAND and not (b.kind is Thing.OBJECT and b.index == target)):
-        return True
-    is_target = [x.kind is Thing.OBJECT and x.index == target for x in (a, b)]
-    return any(is_target) and (a.kind is b.kind is Thing.OBJECT or b.kind is Thing.BOX)
 
 
 def _angle(R: np.ndarray) -> float:
