@@ -16,7 +16,8 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.planning.collision import CollisionChecker, unexplained_cloud
+from neuralgrasps.planning.cloud_field import unexplained_cloud
+from neuralgrasps.planning.collision import CollisionChecker
 from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
 from neuralgrasps.planning.table_grasps import grasps_on_table
@@ -229,7 +230,7 @@ def go_home(robot: Robot, world: PlanningWorld, *, speed: float = 0.7, seed: int
     robot.move_hand(q_open, duration_s=0.5)
     state = robot.state()
     path = plan_path(
-        CollisionChecker.of(manipulator, world).for_transfer(q_open), state.q_arm,
+        CollisionChecker(manipulator, world, q_open), state.q_arm,
         manipulator.q_home[manipulator.arm_dofs][None], seed=seed,
     )  # fmt: skip
     if not path.solved:

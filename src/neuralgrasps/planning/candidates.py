@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.surface import sample_hand_surface
+from neuralgrasps.hands.surface import HandSurface, sample_hand_surface
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
 
@@ -61,7 +62,7 @@ def rank_candidates(
     assert target is not None
     hand = manipulator.hand
     X_BH = target.X_BO @ grasps.X_OH
-    clearance = _clearance(hand, X_BH, grasps, world)
+    clearance = _clearance(manipulator, X_BH, grasps, world)
     fits = _fits(hand, grasps)
     clear = clearance >= clearance_m
     kept = np.flatnonzero(fits & clear)
@@ -114,12 +115,12 @@ def gravity_lever(hand: Hand, target: PlacedObject, X_BH: np.ndarray) -> np.ndar
     return np.asarray(np.abs((np.cross(com - pad, [0.0, 0.0, 1.0]) * axis).sum(axis=1)))
 
 
-def _clearance(hand: Hand, X_BH: np.ndarray, grasps: GraspSet, world: PlanningWorld) -> np.ndarray:
+def _clearance(manipulator: Manipulator, X_BH: np.ndarray, grasps: GraspSet, world: PlanningWorld) -> np.ndarray:
     """(N,) least distance of the hand at its pre-grasp and grasp postures to boxes and other objects."""
-    surface = sample_hand_surface(hand, spacing=_SPACING_M)
+    surface = _coarse_surface(manipulator)
     least = np.full(len(grasps), np.inf)
     for q in (grasps.q_pregrasp, grasps.q):
-        X_BL = X_BH[:, None] @ forward_fast(hand.tree, q)
+        X_BL = X_BH[:, None] @ forward_fast(manipulator.hand.tree, q)
         X = X_BL[:, surface.links]
         points_B = np.einsum("nkij,kj->nki", X[..., :3, :3], surface.points_L) + X[..., :3, 3]
         for box in world.boxes:
@@ -129,6 +130,11 @@ def _clearance(hand: Hand, X_BH: np.ndarray, grasps: GraspSet, world: PlanningWo
             distance = query_grid_numpy(other.obj.sdf, points_O).reshape(points_B.shape[:2])
             least = np.minimum(least, distance.min(axis=1))
     return least
+
+
+@lru_cache(maxsize=16)
+def _coarse_surface(manipulator: Manipulator) -> HandSurface:
+    return sample_hand_surface(manipulator.hand, spacing=_SPACING_M)
 
 
 def _box_distance(box: BoxObstacle, points_B: np.ndarray) -> np.ndarray:

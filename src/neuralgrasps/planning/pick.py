@@ -182,11 +182,11 @@ class _Walk:
         self.solver = ik_solver(manipulator)
         self.counts: Counter[str] = Counter()
         self.hand = manipulator.hand
-        self.checker = CollisionChecker.of(manipulator, world)
+        self.checker = CollisionChecker(manipulator, world, manipulator.hand.q_open)
 
     def run(self, preference: np.ndarray | None) -> PickResult:
         cpu, wall = time.thread_time(), time.perf_counter()
-        touching = self.checker.for_transfer(self.manipulator.q_home[self.manipulator.hand_dofs]).describe(self.q_start)
+        touching = self.checker.describe(self.q_start)
         if touching:
             return self._result(None, f"the arm's start is in collision: {touching}.", 0, True, cpu)
         ranked = rank_candidates(
@@ -231,7 +231,8 @@ class _Walk:
             return None
         q_closed = self.grasps.q[index]
         for q_open in opened_postures(self.hand, self.grasps.q_pregrasp[index]):
-            approach_checker = self.checker.for_approach(q_open)
+            transfer_checker = self.checker.with_hand(q_open)
+            approach_checker = transfer_checker.for_approach()
             free = approach_checker.is_free(postures)
             if free.any():
                 break
@@ -239,7 +240,6 @@ class _Walk:
             self.counts["robot touches something at the grasp"] += 1
             return None
         lift_checker = self.checker.for_lift(q_closed, inverse_np(self.grasps.X_OH[index]))
-        transfer_checker = self.checker.for_transfer(q_open)
         back = self._line(X_BH, -self.config.standoff_m * X_BH[:3, :3] @ self.hand.X_HP[:3, 2])
         up = self._line(X_BH, np.array([0.0, 0.0, self.config.lift_m]))
         ended = "no path to the standoff"
