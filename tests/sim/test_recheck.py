@@ -82,6 +82,23 @@ def test_no_point_moves_farther_than_asked(robot: Manipulator) -> None:
     assert share[0] == 0.0 and share[-1] == 1.0
 
 
+def test_reach_is_a_bound_over_all_postures(robot: Manipulator) -> None:
+    tree = held_tree(robot)
+    reach = _reach(robot, tree, World(), None)
+    q = np.random.default_rng(1).uniform(tree.lower, tree.upper, (300, tree.num_dofs))
+    X_BL = forward_numpy(tree, q)
+    farthest = np.zeros(tree.num_links)
+    for part in robot.parts:
+        ends = transform_points_np(X_BL[:, part.link], part_mesh(part, segments=8).vertices)
+        link = part.link
+        while link >= 0:
+            way = np.linalg.norm(ends - X_BL[:, link, None, :3, 3], axis=-1).max()
+            farthest[link] = max(farthest[link], float(way))
+            link = int(tree.parents[link])
+    assert (farthest <= reach + 1e-9).all()
+    assert (reach <= 1.5 * farthest + 0.1).all()
+
+
 def test_self_contact_is_found(robot: Manipulator) -> None:
     folded = ABOVE.copy()
     folded[[2, 4, 6]] = [1.4, -2.2, -2.1]  # the elbow folds the hand back onto the arm

@@ -9,10 +9,14 @@ import pytest
 
 from neuralgrasps.arms.manipulator import Manipulator, mount_at
 from neuralgrasps.errors import InputError, ShapeError
+from neuralgrasps.geometry.camera import back_project
+from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
+from neuralgrasps.hands.parts import part_distances
 from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.resting import resting_poses
-from neuralgrasps.sim.camera import STRUCTURED_LIGHT
+from neuralgrasps.sim.camera import STRUCTURED_LIGHT, DepthView
 from neuralgrasps.sim.contact_log import Thing
 from neuralgrasps.sim.grip import grip_target
 from neuralgrasps.sim.tabletop import TableTop
@@ -49,6 +53,11 @@ def close_and_lift(top: TableTop, *, grip: float) -> float:
     top.begin("hold")
     top.wait(1.0)
     return float(top.object_pose(0)[2, 3] - start)
+
+
+def seen_points(view: DepthView, mask: np.ndarray) -> np.ndarray:
+    """(M, 3) points of B behind the pixels of a mask."""
+    return transform_points_np(view.X_WC, back_project(view.depth, view.intrinsics, mask=mask))
 
 
 def test_arm_holds_its_home(robot: Manipulator, heavy: ObjectModel) -> None:
@@ -215,12 +224,14 @@ def test_camera_sees_the_object_where_it_is(robot: Manipulator, heavy: ObjectMod
     np.testing.assert_allclose(view.X_WC, robot.camera_pose(top.q_arm))
     seen = view.mesh_index == 0
     assert seen.sum() > 200
-    row, column = np.nonzero(seen)
-    k, z = view.intrinsics, view.depth[seen].astype(float)
-    points_C = np.stack([(column - k.cx) / k.fx * z, (row - k.cy) / k.fy * z, z], axis=1)
-    points_O = (points_C @ view.X_WC[:3, :3].T + view.X_WC[:3, 3] - X_BO[:3, 3]) @ X_BO[:3, :3]
+    points_B = seen_points(view, seen)
+    points_O = points_B - X_BO[:3, 3]
     outside = np.abs(points_O) - HALF
     assert np.abs(outside.max(axis=1)).max() < 1e-3  # every pixel lies on the box's surface
+    own = seen_points(view, view.mesh_index >= 3)[::50]  # after the object, the table and the floor: the robot
+    X_LB = inverse_np(forward_numpy(robot.tree, top.q))
+    gaps = [part_distances(p, transform_points_np(X_LB[p.link], own)) for p in robot.parts]
+    assert len(own) > 20 and np.abs(np.min(gaps, axis=0)).max() < 3e-3  # of 24-sided cylinders
     noisy = top.depth_view(STRUCTURED_LIGHT, seed=3)
     np.testing.assert_array_equal(noisy.depth, top.depth_view(STRUCTURED_LIGHT, seed=3).depth)
     assert (noisy.depth != view.depth).any()
