@@ -166,8 +166,10 @@ def run_trial(
         attempts.append(attempt)
         if attempt.success or number == config.retries:
             break
-        if attempt.plan is not None and go_home(robot, robot.true_world(), seed=seed):
-            break
+        if attempt.plan is not None:
+            robot.phase("return")
+            if go_home(robot, robot.true_world(), seed=seed):
+                break
     cause, detail = _cause(attempts[0])
     return Trial(
         object=obj.name, arm=robot.manipulator.arm.name, hand=robot.manipulator.hand.name, pose_method=config.pose,
