@@ -12,7 +12,7 @@ EdgeCheck = Callable[[np.ndarray, np.ndarray], bool]
 _SAGITTA = 2.5e-4  # rad or metres between a rounded corner and the chords it is given by
 _SMALLEST = 8.0  # corners are tried down to this fraction of the cut
 _SAME_S = 1e-9  # two points nearer than this are one
-_LEAST_GAIN = 1e-3  # of the length in seconds, below which a shortcut is not worth its checks
+_LEAST_GAIN = 0.05  # share of the path's length, below which a shortcut is not worth its checks
 
 
 def shorten(
@@ -52,7 +52,7 @@ def _shortcut(q: np.ndarray, edge_is_free: EdgeCheck, velocity: np.ndarray, ends
     a = q[i] + (q[i + 1] - q[i]) * ((s0 - s[i]) / (s[i + 1] - s[i]))
     b = q[j] + (q[j + 1] - q[j]) * ((s1 - s[j]) / (s[j + 1] - s[j]))
     gain = (s1 - s0) - np.linalg.norm((b - a) / velocity)
-    if gain < _LEAST_GAIN or not edge_is_free(a, b):
+    if gain < _LEAST_GAIN * s[-1] or not edge_is_free(a, b):
         return q
     return np.concatenate([q[: i + 1], a[None], b[None], q[j + 1 :]])
 
