@@ -31,6 +31,8 @@ VERBS: tuple[Verb, ...] = (
     Verb(("hands", "list"), "hands:list_hands", "the built-in hands"),
     Verb(("hands", "show"), "hands:show_hand", "joints and fingers of a hand"),
     Verb(("hands", "check"), "hands:check_hand", "whether a URDF or MJCF file can be used, and how it was read"),
+    Verb(("arms", "list"), "arms:list_arms", "the built-in arms"),
+    Verb(("arms", "show"), "arms:show_arm", "joints, limits and flange of an arm, and where a hand goes on it"),
     Verb(("objects", "list"), "objects:list_objects", "built-in, imported and downloaded objects"),
     Verb(("objects", "show"), "objects:show_object", "size, mass and symmetry of an object or mesh file"),
     Verb(("objects", "import"), "objects:import_mesh", "keep a mesh file under a name"),
@@ -44,6 +46,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("retrieve",), "retrieve:retrieve", "grasps of any hand that hold an object alike"),
     Verb(("novel",), "novel:novel", "new grasps from codes near and between known ones, tried in physics"),
     Verb(("pose",), "pose:pose", "where an object is, from points or a depth image"),
+    Verb(("execute",), "execute:execute", "look, plan, grasp and lift objects in simulation, with films"),
     Verb(("export",), "export:export", "grasps as MoveIt messages or isaac_grasp files"),
     Verb(("bench",), "bench:bench", "run a benchmark and print its figures"),
 )
