@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,14 +36,15 @@ class PickUpConfig:
     """How an object is picked up.
 
     Attributes:
-        plan: of the motion. want: grasps that clear the table; more are made when fewer are stored.
+        plan: of the motion. wants: how many grasps that clear the table are planned with; more are made when fewer are
+            stored, and each further number is taken when the ones before led to no plan.
         settle_s: pause before closing. close_s: time of closing. grip: see `grip_target`; force: share of the hand's
             effort limits that may be used.
         hold_s: how long the object is held up.
     """
 
     plan: PickConfig = field(default_factory=PickConfig)
-    want: int = 40
+    wants: tuple[int, ...] = (8, 40, 120)
     settle_s: float = 0.3
     close_s: float = 1.2
     grip: float = 1.0
@@ -134,15 +135,24 @@ def plan_in(
 ) -> tuple[PickResult | None, str, float]:
     """The plan among grasps that clear the table, why there is none, and the CPU-seconds of finding such grasps."""
     assert world.target is not None
-    cpu = time.thread_time()
-    hand, target = manipulator.hand, world.target
+    hand, target, made = manipulator.hand, world.target, 0.0
     plane_O = table_B.moved(np.linalg.inv(target.X_BO))
-    on_table = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=config.want, seed=seed)
-    made = time.thread_time() - cpu
-    if len(on_table.grasps) == 0:
-        return None, f"no grasp clears the table: {on_table.reason}", made
-    result = plan_pick(manipulator, on_table.grasps, world, q_arm, config=config.plan, seed=seed)
-    return result, result.reason, made
+    result, reason, before, planned = None, "", 0, 0.0
+    for want in config.wants:
+        cpu = time.thread_time()
+        found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=want, seed=seed)
+        made += time.thread_time() - cpu
+        if len(found.grasps) == 0:
+            return None, f"no grasp clears the table: {found.reason}", made
+        if len(found.grasps) == before:
+            break
+        before = len(found.grasps)
+        result = plan_pick(manipulator, found.grasps, world, q_arm, config=config.plan, seed=seed)
+        planned += result.cpu_s
+        reason = result.reason
+        if result.plan is not None or result.blocked:
+            break
+    return None if result is None else replace(result, cpu_s=planned), reason, made
 
 
 def _world(

@@ -24,7 +24,7 @@ from neuralgrasps.planning.pick import PickConfig, PickResult
 from neuralgrasps.seeds import child_rng, child_seed
 
 _DRAWS = 30  # scenes drawn, at most, for one that can be solved
-_LONG = PickUpConfig(want=200, plan=PickConfig(solutions=32, time_limit_s=20.0, path=PathConfig(time_limit_s=10.0)))
+_LONG = PickUpConfig(wants=(200,), plan=PickConfig(solutions=32, time_limit_s=20.0, path=PathConfig(time_limit_s=10.0)))
 """The long run that says whether any plan exists."""
 
 

@@ -95,6 +95,7 @@ class PickResult:
     Attributes:
         plan: the plan, or None. reason: why there is none, "" otherwise.
         counts: how many grasps, or arm postures, ended at which step.
+        blocked: the start itself is in collision; no grasp can help.
         tried: grasps that were begun. complete: all grasps were tried or a plan was found (no limit cut it short).
         cpu_s: CPU-seconds of this thread. seed: the seed.
     """
@@ -102,6 +103,7 @@ class PickResult:
     plan: PickPlan | None
     reason: str
     counts: Mapping[str, int]
+    blocked: bool
     tried: int
     complete: bool
     cpu_s: float
@@ -188,7 +190,7 @@ class _Walk:
         cpu, wall = time.thread_time(), time.perf_counter()
         touching = self.checker.describe(self.q_start)
         if touching:
-            return self._result(None, f"the arm's start is in collision: {touching}.", 0, True, cpu)
+            return self._result(None, f"the arm's start is in collision: {touching}.", 0, True, cpu, blocked=True)
         ranked = rank_candidates(
             self.manipulator, self.grasps, self.world, clearance_m=self.config.clearance_m, preference=preference
         )
@@ -204,11 +206,14 @@ class _Walk:
                 break
         return self._result(plan, "" if plan else self._why(ranked, complete), tried, complete, cpu)
 
-    def _result(self, plan: PickPlan | None, reason: str, tried: int, complete: bool, cpu: float) -> PickResult:
+    def _result(
+        self, plan: PickPlan | None, reason: str, tried: int, complete: bool, cpu: float, *, blocked: bool = False
+    ) -> PickResult:
         return PickResult(
             plan=plan,
             reason=reason,
             counts={k: v for k, v in self.counts.items() if v},
+            blocked=blocked,
             tried=tried,
             complete=complete,
             cpu_s=time.thread_time() - cpu,
