@@ -15,6 +15,8 @@ from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.tree import PRISMATIC, REVOLUTE
 from neuralgrasps.planning.chain import chain_jacobian, chain_pose, chain_poses, pack_chain, sliding_dofs
 from neuralgrasps.planning.ik import IkConfig, IkSolver, ik_solver, ik_starts, solve_ik
+from neuralgrasps.planning.ik_kernels import add_pull, damped_step, work_arrays
+from neuralgrasps.planning.posture_table import APART_RAD
 
 ROBOTS = ("fetch", "panda", "six", "planar", "coupled")
 
@@ -69,6 +71,38 @@ def test_jacobian_matches_finite_differences(robot: Manipulator) -> None:
             W = (plus[:3, :3] - minus[:3, :3]) / (2 * step) @ pose[:, :3].T  # [w] = dR R'
             expected = [*(plus - minus)[:3, 3] / (2 * step), *(weight * W[[2, 0, 1], [1, 2, 0]])]
             np.testing.assert_allclose(J[d], expected, atol=1e-8)
+
+
+def test_a_pull_leaves_the_hand_alone(make_robot: Callable[[str], Manipulator]) -> None:
+    robot = make_robot("fetch")
+    chain = pack_chain(robot)
+    work = work_arrays(chain)
+    rng = np.random.default_rng(20)
+    for q in 0.9 * random_postures(robot, 5, 20):
+        chain_pose(chain, q, work.lines, work.pose)
+        chain_jacobian(chain, work.lines, work.pose, 0.3, work.jacobian)
+        work.error[:] = wanted = rng.normal(scale=0.01, size=6)
+        damped_step(chain, q, 1e-9, work)
+        np.testing.assert_allclose(work.jacobian.T @ work.step, wanted, atol=1e-5)
+        plain, wish = work.step.copy(), rng.normal(size=8)
+        add_pull(wish, work)
+        np.testing.assert_allclose(work.jacobian.T @ work.step, wanted, atol=1e-5)
+        assert (work.step - plain) @ wish > 0.01
+
+
+def test_a_joint_at_its_limit_leaves_the_work_to_others(make_robot: Callable[[str], Manipulator]) -> None:
+    robot = make_robot("fetch")
+    chain = pack_chain(robot)
+    work = work_arrays(chain)
+    q = robot.q_home[robot.arm_dofs].copy()
+    q[0] = robot.upper[0]  # the torso is up
+    chain_pose(chain, q, work.lines, work.pose)
+    chain_jacobian(chain, work.lines, work.pose, 0.3, work.jacobian)
+    for dz in (0.01, -0.01):
+        work.error[:] = wanted = np.array([0.0, 0.0, dz, 0.0, 0.0, 0.0])
+        damped_step(chain, q, 1e-9, work)
+        np.testing.assert_allclose(work.jacobian.T @ work.step, wanted, atol=1e-5)
+        assert (work.step[0] == 0.0) if dz > 0 else (work.step[0] < 0.0)
 
 
 def test_solutions_reach_their_pose_within_limits(robot: Manipulator) -> None:
@@ -248,7 +282,7 @@ def test_starts_lie_near_their_pose(make_robot: Callable[[str], Manipulator]) ->
     near, _ = errors(reference_poses(robot, starts), X[:, None])
     far, _ = errors(reference_poses(robot, spread)[None], X[:, None])
     assert near.mean() < 0.5 * far.mean()
-    assert (np.abs(starts[:, :, None] - starts[:, None]).max(axis=-1) + np.eye(6) > 0.1).all()  # no two alike
+    assert (np.abs(starts[:, :, None] - starts[:, None]).max(axis=-1) + np.eye(6) >= APART_RAD).all()  # no two alike
 
 
 def test_the_nearest_postures_of_the_table_are_found(make_robot: Callable[[str], Manipulator]) -> None:

@@ -195,6 +195,7 @@ def test_a_joint_at_its_limit_is_drawn_away_where_the_arm_has_joints_to_spare(
     assert pulled.complete
     assert plain.complete
     assert robot.upper[0] - pulled.q[-1, 0] > robot.upper[0] - plain.q[-1, 0] + 0.05
+    np.testing.assert_allclose(follow_line(robot, q + 1e-4, X).q[0], q, atol=1e-3)  # not at the first pose
 
 
 def test_a_joint_held_at_its_limit_does_not_stop_the_line(make_robot: Callable[[str], Manipulator]) -> None:
