@@ -128,7 +128,7 @@ def cell_text(value: Cell) -> str:
 
 def write_json(target: str, result: Mapping[str, Any], stdout: IO[str]) -> None:
     """Write one JSON object to a file, whole or not at all, or to stdout when `target` is "-"."""
-    text = json.dumps(_plain(result), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(plain(result), indent=1, allow_nan=False) + "\n"
     if target == "-":
         stdout.write(text)
         stdout.flush()
@@ -138,14 +138,14 @@ def write_json(target: str, result: Mapping[str, Any], stdout: IO[str]) -> None:
         write_whole(Path(target), text)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """JSON has no nan: None. numpy's numbers and arrays become Python's."""
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, str | int | bool):

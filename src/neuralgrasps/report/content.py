@@ -222,6 +222,28 @@ class FrameFigure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ExecutionFigure:
+    """One trial of picking an object up.
+
+    Attributes:
+        title: the object and the trial's number; success: lifted at the first attempt; retry: at a later one.
+        cause: why not at the first, "" otherwise; detail: in words.
+        pictures: captions and pictures, in the order of what happened.
+        animation: a WebP that moves, or b"".
+        facts: names and values in a line.
+    """
+
+    title: str
+    success: bool
+    retry: bool = False
+    cause: str = ""
+    detail: str = ""
+    pictures: tuple[tuple[str, np.ndarray], ...] = ()
+    animation: bytes = b""
+    facts: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SynthesisRow:
     """One hand x object of the synthesis: counts, quality of the kept grasps, and cost.
 
@@ -342,6 +364,7 @@ class DemoReport:
     latent_maps: tuple[LatentMap, ...] = ()
     poses: tuple[PoseFigure, ...] = ()
     frames: tuple[FrameFigure, ...] = ()
+    executions: tuple[ExecutionFigure, ...] = ()
     synthesis: tuple[SynthesisRow, ...] = ()
     dataset: tuple[tuple[str, str], ...] = ()
     model: tuple[ModelRow, ...] = ()

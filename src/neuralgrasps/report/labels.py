@@ -113,7 +113,7 @@ def _leader(spot: tuple[int, int], size: tuple[int, int], target: np.ndarray) ->
 def _plate(text: str, colour: str, size: int) -> Image.Image:
     """RGBA picture of one label."""
     fine = size * _FINE
-    font = _font(fine)
+    font = label_font(fine)
     left, _, right, _ = font.getbbox(text)
     pad, mark = 0.5 * fine, 0.72 * fine
     width, height = round(right - left + 2 * pad + mark + 0.4 * fine), round(1.62 * fine)
@@ -129,7 +129,8 @@ def _plate(text: str, colour: str, size: int) -> Image.Image:
 
 
 @cache
-def _font(size: int) -> ImageFont.FreeTypeFont:
+def label_font(size: int) -> ImageFont.FreeTypeFont:
+    """The letters of all pictures, `size` pixels high."""
     font = ImageFont.load_default(size=size)
     assert isinstance(font, ImageFont.FreeTypeFont)
     return font

@@ -10,6 +10,7 @@ from pathlib import Path
 from neuralgrasps.errors import InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.report.content import DemoReport, KeyFigure, Listing
+from neuralgrasps.report.execution_page import executions_section
 from neuralgrasps.report.latent_section import latent_section
 from neuralgrasps.report.palette import contact_gradient
 from neuralgrasps.report.pose_page import frames_section
@@ -66,6 +67,7 @@ _TEXTS = {
     "the lines of the object in colour; a white outline is the true pose. Errors are measured against it, "
     "up to the object's own symmetries.",
     "frames": "",
+    "executions": "",
     "numbers": "Measured in this run, on this machine.",
     "times": "Wall-clock and processor time of every stage, and the largest memory in use.",
     "listings": "",
@@ -156,6 +158,12 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         ("transfer", "Transfer", bool(report.transfers), lambda: transfer_section(report.transfers, pictures)),
         ("latent", "Latent space", bool(report.latent_maps), lambda: latent_section(report.latent_maps, pictures)),
         ("pose", "Object pose", bool(report.poses), lambda: pose_section(report.poses, pictures)),
+        (
+            "executions",
+            "Trials",
+            bool(report.executions),
+            lambda: executions_section(report.executions, pictures),
+        ),
         ("frames", "Frames", bool(report.frames), lambda: frames_section(report.frames, pictures)),
     ]
     sections = [(name, title, build()) for name, title, shown, build in builders if shown]

@@ -27,7 +27,8 @@ class SceneTriangles:
 
     Attributes:
         points: (V, 3) float64; point_body: (V,); faces: (F, 3) int32; face_body: (F,).
-        normals: (F, 3, 3) float32 at the corners; flat: (F, 3) float32 across the faces; colour: (F, 3) float32 linear; gloss: (F,) float32.
+        normals: (F, 3, 3) float32 at the corners; flat: (F, 3) float32 across the faces.
+        colour: (F, 3) float32 linear; gloss: (F,) float32.
         two_sided: (F,) bool, faces whose back is drawn too.
         caster_points, caster_body, caster_faces: a coarser copy that throws the soft shadows.
     """

@@ -208,7 +208,7 @@ def lamp_on_plane(origin, step, key, centre, disc, spread, out):  # type: ignore
     Args:
         disc: (16, 36, 2) points in the unit disc; spread: radius of the lamp over its distance.
     """
-    directions, axes, depth, texel = key
+    _, axes, depth, texel = key
     ax, size = axes[0], depth.shape[1]
     inv, half = np.float32(1.0) / texel, np.float32(0.5 * depth.shape[1])
     z = np.float32(origin[2] - centre[2])

@@ -9,14 +9,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from neuralgrasps.geometry.camera import Intrinsics
-from neuralgrasps.geometry.mesh import Mesh, box_mesh
+from neuralgrasps.geometry.mesh import box_mesh
 from neuralgrasps.report.light_kernels import _DISC
 from neuralgrasps.report.paint_kernels import paint
 from neuralgrasps.report.palette import linear_rgb, linear_to_srgb
 from neuralgrasps.report.scene import Scene, posed_points
 from neuralgrasps.report.scene_kernels import fill_backdrop, fill_faces, lamp_on_plane, light_plane
-from neuralgrasps.report.shadow_maps import dome_directions, shadow_maps
 from neuralgrasps.report.shading import Lights, Style, lights_of, roll_off
+from neuralgrasps.report.shadow_maps import dome_directions, shadow_maps
 
 TABLE, FLOOR, HORIZON, OVERHEAD = "#b9b3a6", "#cfccc5", "#e7e5df", "#f7f6f2"
 # rays of a pixel: a square turned so that level, upright and slanted edges all get four steps

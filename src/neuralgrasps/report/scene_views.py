@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from neuralgrasps.geometry.camera import Intrinsics, look_at
+from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.report.scene import Scene, posed_points
 from neuralgrasps.report.scene_painter import View
@@ -69,7 +70,7 @@ def close_view(scene: Scene, X_BO: np.ndarray, direction: np.ndarray, *, size: t
     obj, X = scene.objects[scene.target], X_BO[scene.target]
     middle = X[:3, :3] @ (0.5 * (obj.mesh.vertices.min(axis=0) + obj.mesh.vertices.max(axis=0))) + X[:3, 3]
     width = max(_CLOSE_WIDTH_M, 1.35 * float(np.linalg.norm(np.ptp(obj.mesh.vertices, axis=0))))
-    middle = middle + [0.0, 0.0, 0.12 * width]
+    middle[2] += 0.12 * width
     distance = 0.5 * width / math.tan(0.5 * _CLOSE_FOV_RAD)
     X_BC = look_at(middle + distance * np.asarray(direction), middle)
     return View(X_BC=X_BC, intrinsics=Intrinsics.from_fov(_CLOSE_FOV_RAD, *size))
@@ -87,16 +88,14 @@ def _shown_points(scene: Scene, q: np.ndarray, X_BO: np.ndarray) -> np.ndarray:
 
 def _seen_pixels(scene: Scene, moment: Moment, view: View) -> float:
     """How much of the object and of the fingers a view shows, as a number to compare views by."""
-    obj = scene.objects[scene.target]
     X_B = scene.poses(*moment)
     meshes = scene.meshes
     points = posed_points(meshes.caster_points, meshes.caster_body, X_B)
     body = scene.manipulator.tree.num_links + scene.target
-    fingers = {l + scene.manipulator.hand_link for f in scene.manipulator.hand.fingers for l in f.links}
+    shift = scene.manipulator.hand_link
+    fingers = {link + shift for finger in scene.manipulator.hand.fingers for link in finger.links}
     k = view.intrinsics
     small = Intrinsics.from_fov(2 * math.atan(0.5 * k.height / k.fy), 96 * k.width // k.height, 96)
-    from neuralgrasps.geometry.mesh import Mesh
-
     image = rasterise([Mesh(points, meshes.caster_faces)], np.linalg.inv(view.X_BC)[None], small)
     seen = meshes.caster_body[meshes.caster_faces[image.face_index[image.face_index >= 0], 0]]
     return math.sqrt((seen == body).sum()) + math.sqrt(np.isin(seen, list(fingers)).sum())
