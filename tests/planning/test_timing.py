@@ -2,10 +2,15 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from neuralgrasps.arms.manipulator import Manipulator
+from neuralgrasps.arms.mount import mount
 from neuralgrasps.arms.trajectory import Trajectory
+from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.errors import InputError, ShapeError
-from neuralgrasps.planning.timing import DEVIATION, path_deviation, time_path, timed_is_free
+from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.planning.timing import DEVIATION, hand_lengths, path_deviation, time_path, timed_is_free
 
 VELOCITY = np.array([0.1, 1.25, 1.45, 1.57, 1.52, 1.57, 2.26, 2.26])
 ACCELERATION = np.array([0.5, 1.5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5])
@@ -87,6 +92,28 @@ def test_the_hand_is_no_faster_than_asked(as_lengths: bool) -> None:
     speed = np.diff(travelled) / 1e-3
     assert 0.045 <= speed.max() <= 0.0505
     assert motion.duration_s > _timed(q).duration_s
+
+
+def test_the_hand_of_an_arm_neither_moves_nor_turns_faster_than_asked() -> None:
+    robot = mount(load_arm("fetch"), load_hand("fetch"))
+    ends = np.stack([robot.q_home[robot.arm_dofs]] * 2)
+    ends[1] += 0.3 * np.array([0.1, 1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 2.0])
+    q = ends[0] + np.linspace(0.0, 1.0, 21)[:, None] * (ends[1] - ends[0])
+    limits = {"joint_names": robot.arm_names, "velocity": robot.velocity, "acceleration": robot.acceleration}
+    lengths = hand_lengths(robot, q, turn_m=0.2)
+    assert lengths[-1] == pytest.approx(hand_lengths(robot, q)[-1] + 0.2 * hand_turn(robot, q).sum(), rel=1e-6)
+    motion = time_path(q, **limits, hand_m=lengths, max_hand_speed=0.1)
+    at = motion.sample(np.arange(0.0, motion.duration_s, 2e-3))[0]
+    speed = np.linalg.norm(np.diff(robot.hand_pose(at)[:, :3, 3], axis=0), axis=1) / 2e-3
+    turn = hand_turn(robot, at) / 2e-3
+    assert speed.max() <= 0.102 and turn.max() <= 0.51
+    assert (speed + 0.2 * turn).max() >= 0.095
+
+
+def hand_turn(robot: Manipulator, q: np.ndarray) -> np.ndarray:
+    """(T - 1,) angles between successive postures."""
+    R = robot.hand_pose(q)[:, :3, :3]
+    return np.linalg.norm(Rotation.from_matrix(np.swapaxes(R[:-1], 1, 2) @ R[1:]).as_rotvec(), axis=1)
 
 
 def test_a_curved_series_of_waypoints_takes_little_longer_than_the_straight_line() -> None:

@@ -32,7 +32,7 @@ class PathConfig:
 
     detours: int = 60
     step_s: float = 1.0
-    max_checks: int = 4000
+    max_checks: int = 2000
     time_limit_s: float | None = None
     shortcuts: int = 25
     corner_s: float = 0.4
