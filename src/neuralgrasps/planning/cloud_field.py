@@ -9,8 +9,6 @@ import numpy as np
 from neuralgrasps.compiled import njit
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.sdf_grid import SdfGrid
-from neuralgrasps.planning.collision_arrays import Grids
-from neuralgrasps.planning.collision_world import no_grids, stack_grids
 
 FINEST_M, COARSEST_M = 0.005, 0.010
 _MOST_NODES = 700_000
@@ -48,15 +46,6 @@ def cloud_grid(points_B: np.ndarray, *, spacing_m: float | None = None) -> tuple
     np.sqrt(values, out=values)
     values *= spacing
     return SdfGrid(values, low, spacing), farthest + _INTERPOLATION * spacing
-
-
-def cloud_grids(points_B: np.ndarray) -> Grids:
-    """The points as an obstacle for collision checks; nothing if there are none."""
-    if not len(points_B):
-        return no_grids()
-    grid, error = cloud_grid(points_B)
-    low, high = np.min(points_B, axis=0), np.max(points_B, axis=0)
-    return stack_grids([(grid, error, low, high, np.eye(4))])
 
 
 @njit(cache=True, error_model="numpy")

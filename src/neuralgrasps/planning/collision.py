@@ -9,17 +9,25 @@ import numpy as np
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.planning import collision_report
-from neuralgrasps.planning.cloud_field import cloud_grids
-from neuralgrasps.planning.collision_arrays import CarriedArrays, CheckArrays, Grids, Work, make_work
+from neuralgrasps.planning.collision_arrays import (
+    BODY,
+    IS_HAND,
+    MEETS_CARRIED,
+    OTHERS,
+    TARGET,
+    CheckArrays,
+    Work,
+    make_work,
+)
 from neuralgrasps.planning.collision_kernels import config_is_free, configs_are_free, edge_is_free
-from neuralgrasps.planning.collision_robot import pose_in_hand, robot_arrays
+from neuralgrasps.planning.collision_robot import RobotTables, robot_tables
 from neuralgrasps.planning.collision_world import (
-    box_arrays,
-    full_grid,
-    no_grids,
+    box_rows,
+    cloud_thing,
+    grid_tables,
     object_shape,
-    stack_grids,
-    thinned_grids,
+    thinned_thing,
+    whole_thing,
 )
 from neuralgrasps.planning.world import PlanningWorld
 
@@ -59,17 +67,6 @@ class CollisionConfig:
                 raise InputError(f"{name} is {getattr(self, name)}; expected a positive number.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Scene:
-    """Obstacles as arrays, shared by the phases."""
-
-    box_X: np.ndarray
-    box_half: np.ndarray
-    target: Grids
-    others: Grids
-    cloud: Grids
-
-
 class CollisionChecker:
     """Checks one manipulator against one world, in one phase; a new one is for the transfer.
 
@@ -100,15 +97,22 @@ class CollisionChecker:
         manipulator.hand.check_q(self.q_hand)
         self.config = config or CollisionConfig()
         self._scene = _scene(world)
-        self._set_phase("transfer", self._arrays(self.q_hand))
+        self._wide, _ = self._arrays(self.q_hand)
+        self._set_phase("transfer", self._wide)
+
+    def with_hand(self, q_hand: np.ndarray) -> CollisionChecker:
+        """The same world for other hand joints (J,), in the transfer."""
+        self.manipulator.hand.check_q(np.asarray(q_hand, float))
+        wide, _ = self._arrays(np.asarray(q_hand, float))
+        return self._in_phase("transfer", q_hand, wide, wide)
 
     def for_transfer(self) -> CollisionChecker:
         """The long way: spheres for arm and hand, wide margins, the target an obstacle."""
-        return self._in_phase("transfer", self.q_hand, self._arrays(self.q_hand))
+        return self._in_phase("transfer", self.q_hand, self._wide, self._wide)
 
     def for_approach(self) -> CollisionChecker:
         """The last straight way: the hand by its exact shape, with small margins; the arm as in the transfer."""
-        return self._in_phase("approach", self.q_hand, self._near(self.q_hand))
+        return self._in_phase("approach", self.q_hand, self._wide, self._near(self._wide))
 
     def for_lift(self, q_hand: np.ndarray, X_HO: np.ndarray) -> CollisionChecker:
         """The way up, the hand at q_hand (J,), the target held at X_HO (4, 4) and carried along.
@@ -119,13 +123,12 @@ class CollisionChecker:
         Raises:
             InputError: the world has no target.
         """
-        target = self.world.target
-        if target is None:
+        if self.world.target is None:
             raise InputError("the world has no target to lift; expected PlanningWorld(target=...).")
         self.manipulator.hand.check_q(np.asarray(q_hand, float))
-        arrays = self._near(q_hand)
-        carried = _carried(self, arrays, np.asarray(q_hand, float), np.asarray(X_HO, float))
-        return self._in_phase("lift", q_hand, arrays._replace(target=no_grids(), carried=carried))
+        wide, robot = self._arrays(np.asarray(q_hand, float))
+        held = _carried(self, self._near(wide), robot, np.asarray(X_HO, float))
+        return self._in_phase("lift", q_hand, wide, held)
 
     def is_free(self, q_arm: np.ndarray) -> np.ndarray:
         """(N,) bool for planned joints (N, D): is every margin kept?"""
@@ -160,84 +163,105 @@ class CollisionChecker:
         check_shape("q_arm", q.shape, (None, len(self.manipulator.arm_dofs)))
         return q
 
-    def _arrays(self, q_hand: np.ndarray) -> CheckArrays:
+    def _arrays(self, q_hand: np.ndarray) -> tuple[CheckArrays, RobotTables]:
         """The transfer's arrays at hand joints."""
         c, scene = self.config, self._scene
+        robot = robot_tables(self.manipulator, q_hand, self_margin_m=c.self_margin_m)
         wide = [c.margin_m, c.target_margin_m, c.margin_m, c.margin_m]
-        return CheckArrays(
-            robot=robot_arrays(self.manipulator, q_hand, self_margin_m=c.self_margin_m),
-            box_X=scene.box_X,
-            box_half=scene.box_half,
-            target=scene.target,
-            others=scene.others,
-            cloud=scene.cloud,
-            carried=_nothing(len(scene.box_half)),
+        tables = {name: getattr(robot, name) for name in CheckArrays._fields if hasattr(robot, name)}
+        tables["parts"] = np.concatenate([robot.parts, scene.box_rows])
+        tables["part_info"] = np.concatenate([robot.part_info, scene.box_info])
+        arrays = CheckArrays(
+            **tables,
+            grids=scene.grids,
+            grid_info=scene.grid_info,
+            kinds=scene.kinds,
+            target_values=scene.target_values,
+            other_values=scene.other_values,
+            cloud_values=scene.cloud_values,
             margins=np.array([wide, wide]),
+            carried_points=np.zeros((0, 3)),
+            carried_limits=np.zeros(0),
+            carried_body=0,
+            num_parts=len(robot.parts),
             exact_hand=False,
             max_step_rad=c.max_step_rad,
             max_step_m=c.max_step_m,
         )
+        return arrays, robot
 
-    def _near(self, q_hand: np.ndarray) -> CheckArrays:
-        """The approach's arrays."""
+    def _near(self, arrays: CheckArrays) -> CheckArrays:
+        """The approach's arrays from the transfer's."""
         c = self.config
-        arrays = self._arrays(q_hand)
         margins = arrays.margins.copy()
         margins[1] = [c.near_margin_m, c.near_target_margin_m, c.near_margin_m, c.near_margin_m]
         return arrays._replace(margins=margins, exact_hand=True, max_step_m=c.near_step_m)
 
     def _set_phase(self, phase: str, arrays: CheckArrays) -> None:
         self.phase, self.arrays = phase, arrays
-        self.work: Work = make_work(arrays.robot)
+        self.work: Work = make_work(arrays)
 
-    def _in_phase(self, phase: str, q_hand: np.ndarray, arrays: CheckArrays) -> CollisionChecker:
+    def _in_phase(self, phase: str, q_hand: np.ndarray, wide: CheckArrays, arrays: CheckArrays) -> CollisionChecker:
         other = object.__new__(CollisionChecker)
         other.manipulator, other.world, other.config = self.manipulator, self.world, self.config
-        other.q_hand, other._scene = np.asarray(q_hand, float), self._scene
+        other.q_hand, other._scene, other._wide = np.asarray(q_hand, float), self._scene, wide
         other._set_phase(phase, arrays)
         return other
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Scene:
+    """The obstacles' part of `CheckArrays`."""
+
+    box_rows: np.ndarray
+    box_info: np.ndarray
+    grids: np.ndarray
+    grid_info: np.ndarray
+    kinds: np.ndarray
+    target_values: np.ndarray
+    other_values: np.ndarray
+    cloud_values: np.ndarray
+
+
 def _scene(world: PlanningWorld) -> _Scene:
-    X, half = box_arrays(world.boxes)
+    target = [] if world.target is None else [whole_thing(world.target.obj, world.target.X_BO)]
+    others = [thinned_thing(p.obj, p.X_BO) for p in world.objects]
+    if world.target is not None:  # the last row: what may be carried
+        others.append(thinned_thing(world.target.obj, np.eye(4)))
+    cloud = [cloud_thing(world.cloud_B)] if len(world.cloud_B) else []
+    tables = [grid_tables(things) for things in (target, others, cloud)]
+    counts = np.array([len(target), len(world.objects), len(cloud)])
+    order = [*range(len(target) + len(world.objects)), *range(len(target) + len(others), len(target + others + cloud))]
+    if world.target is not None:
+        order.append(len(target) + len(world.objects))
+    rows, info = box_rows(world.boxes)
     return _Scene(
-        box_X=X,
-        box_half=half,
-        target=no_grids() if world.target is None else full_grid(world.target.obj, world.target.X_BO),
-        others=thinned_grids([(p.obj, p.X_BO) for p in world.objects]),
-        cloud=cloud_grids(world.cloud_B),
+        box_rows=rows,
+        box_info=info,
+        grids=np.concatenate([t[0] for t in tables])[order],
+        grid_info=np.concatenate([t[1] for t in tables])[order],
+        kinds=np.array([0, 0, *np.cumsum(counts)], np.int64),
+        target_values=tables[0][2],
+        other_values=tables[1][2],
+        cloud_values=tables[2][2],
     )
 
 
-def _nothing(boxes: int) -> CarriedArrays:
-    return CarriedArrays(
-        body=0, points=np.zeros((0, 3)), centre=np.zeros(3), radius=0.0, grid=no_grids(),
-        meets_link=np.zeros(0, np.bool_), box_limit=np.zeros(boxes), other_limit=np.zeros(0), cloud_limit=np.zeros(0),
-    )  # fmt: skip
-
-
-def _carried(checker: CollisionChecker, arrays: CheckArrays, q_hand: np.ndarray, X_HO: np.ndarray) -> CarriedArrays:
-    """The target held at X_HO, with the limits that its place in the world sets."""
+def _carried(checker: CollisionChecker, near: CheckArrays, robot: RobotTables, X_HO: np.ndarray) -> CheckArrays:
+    """The approach's arrays with the target held at X_HO, and the limits that its place in the world sets."""
     target, c = checker.world.target, checker.config
     assert target is not None
-    body, X_KO = pose_in_hand(checker.manipulator, q_hand, X_HO)
-    shape = object_shape(target.obj)
-    X_BO = np.asarray(target.X_BO, float)
-    points_B = shape.points_O @ X_BO[:3, :3].T + X_BO[:3, 3]
-    grid = stack_grids([(shape.grid, shape.error_m, shape.low, shape.high, X_KO)])
-    robot = arrays.robot
-    box, other, cloud = (
-        collision_report.start_limits(arrays, grids, points_B, margin=c.near_margin_m, sink=c.sink_m)
-        for grids in (None, arrays.others, arrays.cloud)
-    )
-    return CarriedArrays(
-        body=body,
-        points=np.ascontiguousarray(shape.points_O @ X_KO[:3, :3].T + X_KO[:3, 3]),
-        centre=grid.centre[0],
-        radius=float(grid.radius[0]),
-        grid=grid,
-        meets_link=~robot.link_is_hand & (robot.link_body != body),
-        box_limit=box,
-        other_limit=other,
-        cloud_limit=cloud,
+    X_KO, points_O = robot.X_KH @ X_HO, object_shape(target.obj).points_O
+    start = collision_report.points_gaps(near, points_O, np.ascontiguousarray(target.X_BO, float))
+    rows, _, _ = grid_tables([thinned_thing(target.obj, X_KO)])
+    kinds, link_info = near.kinds.copy(), near.link_info.copy()
+    kinds[TARGET] = kinds[OTHERS]  # it is no obstacle any more
+    link_info[:, MEETS_CARRIED] = (link_info[:, IS_HAND] == 0) & (link_info[:, BODY] != robot.hand_body)
+    return near._replace(
+        link_info=link_info,
+        grids=np.concatenate([near.grids[:-1], rows]),
+        kinds=kinds,
+        carried_points=np.ascontiguousarray(points_O @ X_KO[:3, :3].T + X_KO[:3, 3]),
+        carried_limits=np.minimum(c.near_margin_m, start - c.sink_m),
+        carried_body=robot.hand_body,
     )

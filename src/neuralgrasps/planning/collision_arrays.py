@@ -1,4 +1,4 @@
-"""The arrays that collision kernels work on: the robot with its hand at rest, what is around it, and what it carries."""
+"""The arrays that collision kernels work on: few wide tables, because each array that is passed on costs time."""
 
 from __future__ import annotations
 
@@ -6,25 +6,51 @@ from typing import NamedTuple
 
 import numpy as np
 
+# columns of `CheckArrays.parts`
+SIZE, POSE = 4, 7
+# columns of `CheckArrays.link_info`
+BODY, FIRST_PART, END_PART, IS_HAND, MEETS_WORLD, MEETS_CARRIED = range(6)
+# columns of `CheckArrays.part_info`
+KIND, FIRST_VERTEX, END_VERTEX, FIRST_NODE, END_NODE = range(5)
+# columns of `CheckArrays.grids`
+ORIGIN, INV_SPACING, LOW, HIGH, ERROR, FRAME, MIDDLE, RADIUS = 0, 3, 4, 7, 10, 11, 23, 26
+GRID_COLUMNS = 27
+# kinds of obstacles: columns of `CheckArrays.margins`
+BOXES, TARGET, OTHERS, CLOUD = range(4)
 
-class RobotArrays(NamedTuple):
-    """A manipulator whose hand and other unplanned joints are at rest.
 
-    K bodies (body 0 is fixed to the base), D planned joints, G links with parts, Np parts, S sphere nodes, M points.
-    All is in the frame of its body, metres; a frame of a body is that of its first link.
+class CheckArrays(NamedTuple):
+    """One phase of a motion: the robot with its hand at rest, what is around it, and what it carries.
+
+    K bodies (body 0 is fixed to the base), D planned joints, G links with parts, Np parts, Nb boxes, S sphere nodes, A
+    things with a distance grid. The robot's geometry is in the frame of its body (that of the body's first link),
+    metres. Poses in tables are the upper three rows of X, row by row: 12 numbers.
 
     Attributes:
         parents, joint_types (K,), X_parent_joint (K, 4, 4), axes (K, 3), coupling (K, D), offset (K,): the bodies as a
             tree, arrays as in `KinematicTree`.
-        link_body (G,); link_part_start (G + 1,); link_centre (G, 3), link_radius (G,): sphere around each link's parts.
-        link_is_hand, link_meets_world (G,) bool: the second is False for what is fixed to the base.
-        part_kind (Np,), part_size (Np, 3), part_X (Np, 4, 4): part frame in the body; part_centre (Np, 3),
-            part_radius (Np,): sphere around it.
-        vertex_start (Np + 1,), vertices (V, 3): corners of hulls, part frame.
-        node_start (Np + 1,), node_centre (S, 3), node_radius (S,), node_skip (S,): sphere trees of the parts, as in
-            `SphereTree`; parts of links that do not meet the world have none.
-        point_start (S + 1,), points (M, 3): surface points of the hand within each leaf.
-        pair (Sp, 2) links that may touch each other; pair_margin (Sp,) metres.
+        links: (G, 4) centre and radius of a sphere around each link's parts.
+        link_info: (G, 6) body, first part, end of the parts, is it the hand's, does it meet the world (not what is
+            fixed to the base), and what the hand carries.
+        parts: (Np + Nb, 19) centre and radius of a sphere around the part, its size, its pose; boxes after the robot's
+            parts, in B.
+        part_info: (Np + Nb, 5) kind, first vertex and their end, first sphere node and their end.
+        vertices: (V, 3) corners of hulls, part frame.
+        nodes: (S + 1, 4) centre and radius, trees as in `SphereTree`; node_info: (S + 1, 2) skip and first point.
+        points: (M, 3) surface points of the hand within each leaf.
+        pairs: (Sp, 2) links that may touch each other; pair_margins: (Sp,) metres.
+        grids: (A + 1, 27) the target (none or one), then other objects, then the cloud (none or one); origin and
+            1 / spacing as in `SdfGrid`; box around the thing in its frame (low, high), the error of a value, X of its
+            frame in B; centre in B and radius of a sphere around it. The last row is what is carried, in its body.
+        grid_info: (A + 1, 4) first value, nodes along x, y, z.
+        kinds: (5,) first row of `grids` by kind of obstacle, [0, 0, target end, others end, A].
+        target_values, other_values, cloud_values: float32 metres; those of what is carried are with the others'.
+        margins: (2, 4) least distances, metres, of arm and hand to boxes, target, others and cloud; >= 0 for boxes.
+        carried_points: (C, 3) surface of what is carried in `carried_body`; none where C = 0.
+        carried_limits: (Nb + A,) its least distance to each box and thing: the margin, or less where it starts nearer.
+        exact_hand: the hand's surface points stand for it against grids, not its spheres.
+        max_step_rad, max_step_m: an edge is checked so often that between two checks no joint turns (slides) by more
+            than the first (m), and no point of a link moves by more than the second.
     """
 
     parents: np.ndarray
@@ -33,96 +59,27 @@ class RobotArrays(NamedTuple):
     axes: np.ndarray
     coupling: np.ndarray
     offset: np.ndarray
-    link_body: np.ndarray
-    link_part_start: np.ndarray
-    link_centre: np.ndarray
-    link_radius: np.ndarray
-    link_is_hand: np.ndarray
-    link_meets_world: np.ndarray
-    part_kind: np.ndarray
-    part_size: np.ndarray
-    part_X: np.ndarray
-    part_centre: np.ndarray
-    part_radius: np.ndarray
-    vertex_start: np.ndarray
+    links: np.ndarray
+    link_info: np.ndarray
+    parts: np.ndarray
+    part_info: np.ndarray
     vertices: np.ndarray
-    node_start: np.ndarray
-    node_centre: np.ndarray
-    node_radius: np.ndarray
-    node_skip: np.ndarray
-    point_start: np.ndarray
+    nodes: np.ndarray
+    node_info: np.ndarray
     points: np.ndarray
-    pair: np.ndarray
-    pair_margin: np.ndarray
-
-
-class Grids(NamedTuple):
-    """Distance grids of A things, one after the other.
-
-    Attributes:
-        values (total,) float32 metres; start (A,), sides (A, 3): where each grid begins and its nodes along x, y, z.
-        origin (A, 3), inv_spacing (A,): as in `SdfGrid`.
-        low, high (A, 3): box around the thing in its own frame A; outside the grid it gives the distance.
-        error (A,): metres by which a value between the nodes may be too large; it is subtracted.
-        X_BA (A, 4, 4): the thing's frame in B (for a carried thing: in the body that carries it).
-        centre (A, 3), radius (A,): sphere around the thing, same frame as X_BA maps to.
-    """
-
-    values: np.ndarray
-    start: np.ndarray
-    sides: np.ndarray
-    origin: np.ndarray
-    inv_spacing: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    error: np.ndarray
-    X_BA: np.ndarray
-    centre: np.ndarray
-    radius: np.ndarray
-
-
-class CarriedArrays(NamedTuple):
-    """What the hand holds.
-
-    Attributes:
-        body: body that carries it; points (C, 3): its surface in that body; centre (3,), radius: sphere around it.
-        grid: its distances, at most one, X_BA in that body. meets_link (G,) bool: links that must not touch it.
-        box_limit (Nb,), target_limit, other_limit, cloud_limit (A,): least distance, metres, to each obstacle: the
-            margin, or less where it starts nearer.
-    """
-
-    body: int
-    points: np.ndarray
-    centre: np.ndarray
-    radius: float
-    grid: Grids
-    meets_link: np.ndarray
-    box_limit: np.ndarray
-    other_limit: np.ndarray
-    cloud_limit: np.ndarray
-
-
-class CheckArrays(NamedTuple):
-    """Everything that one phase of a motion is checked against.
-
-    Attributes:
-        robot, carried: see there.
-        box_X (Nb, 4, 4), box_half (Nb, 3): boxes in B.
-        target, others, cloud: grids of the thing to be grasped (none or one), of other objects, of unknown points.
-        margins (2, 4): least distances, metres, of arm and hand to boxes, target, others and cloud; >= 0 for boxes.
-        exact_hand: the hand's surface points stand for it against grids, not its spheres.
-        max_step_rad, max_step_m: an edge is checked so often that between two checks no joint turns (slides) by more
-            than the first (m), and no point of a link moves by more than the second.
-    """
-
-    robot: RobotArrays
-    box_X: np.ndarray
-    box_half: np.ndarray
-    target: Grids
-    others: Grids
-    cloud: Grids
-    carried: CarriedArrays
+    pairs: np.ndarray
+    pair_margins: np.ndarray
+    grids: np.ndarray
+    grid_info: np.ndarray
+    kinds: np.ndarray
+    target_values: np.ndarray
+    other_values: np.ndarray
+    cloud_values: np.ndarray
     margins: np.ndarray
+    carried_points: np.ndarray
+    carried_limits: np.ndarray
+    carried_body: int
+    num_parts: int
     exact_hand: bool
     max_step_rad: float
     max_step_m: float
@@ -132,30 +89,33 @@ class Work(NamedTuple):
     """Room that a check writes to; one per thread.
 
     Attributes:
-        X_BK (K, 4, 4) poses of the bodies; link_centre (G, 3) in B; simplex (4, 3); X_a, X_b (4, 4); start (3,);
-        q (D,); before (K, 4, 4).
+        X_BK: (K, 4, 4) poses of the bodies; before: the same, earlier. centres: (G, 3) of the links' spheres in B.
+        poses: (Np + Nb, 12) of parts in B, made when needed; made: (Np + 1,) the check each was made in, last the
+            number of this one.
+        simplex: (4, 3); q: (D,); frame: (12,).
     """
 
     X_BK: np.ndarray
-    link_centre: np.ndarray
-    simplex: np.ndarray
-    X_a: np.ndarray
-    X_b: np.ndarray
-    start: np.ndarray
-    q: np.ndarray
     before: np.ndarray
+    centres: np.ndarray
+    poses: np.ndarray
+    made: np.ndarray
+    simplex: np.ndarray
+    q: np.ndarray
+    frame: np.ndarray
 
 
-def make_work(robot: RobotArrays) -> Work:
-    """Room for checks of `robot`."""
-    bodies, links, dofs = len(robot.parents), len(robot.link_body), robot.coupling.shape[1]
+def make_work(check: CheckArrays) -> Work:
+    """Room for checks of `check`."""
+    bodies = len(check.parents)
+    poses = check.parts[:, POSE:].copy()
     return Work(
         X_BK=np.zeros((bodies, 4, 4)),
-        link_centre=np.zeros((links, 3)),
-        simplex=np.zeros((4, 3)),
-        X_a=np.zeros((4, 4)),
-        X_b=np.zeros((4, 4)),
-        start=np.zeros(3),
-        q=np.zeros(dofs),
         before=np.zeros((bodies, 4, 4)),
+        centres=np.zeros((len(check.links), 3)),
+        poses=poses,
+        made=np.zeros(check.num_parts + 1, np.int64),
+        simplex=np.zeros((4, 3)),
+        q=np.zeros(check.coupling.shape[1]),
+        frame=np.zeros(12),
     )

@@ -14,49 +14,52 @@ import math
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.shape_kernels import box_sdf
-from neuralgrasps.hands.hand import PartKind
 from neuralgrasps.kinematics.forward_kernels import link_poses
+from neuralgrasps.planning.collision_arrays import (
+    BODY,
+    BOXES,
+    CLOUD,
+    END_NODE,
+    END_PART,
+    FIRST_NODE,
+    FIRST_PART,
+    FRAME,
+    IS_HAND,
+    MEETS_CARRIED,
+    MEETS_WORLD,
+    MIDDLE,
+    OTHERS,
+    POSE,
+    RADIUS,
+    SIZE,
+    TARGET,
+)
 from neuralgrasps.planning.convex_kernels import convex_gap
 from neuralgrasps.planning.grid_kernels import grid_lower_bound
-
-_BOX = int(PartKind.BOX)
-BOXES, TARGET, OTHERS, CLOUD = 0, 1, 2, 3  # columns of margins
-
-
-@njit(cache=True, error_model="numpy")
-def pose_bodies(robot, q_arm, work):  # type: ignore[no-untyped-def]
-    """Poses of the bodies and centres of the links, in B, at planned joints (D,), into `work`."""
-    link_poses(
-        robot.parents, robot.joint_types, robot.X_parent_joint, robot.axes, robot.coupling, robot.offset, q_arm,
-        work.X_BK,
-    )  # fmt: skip
-    for g in range(robot.link_body.shape[0]):
-        c = robot.link_centre[g]
-        x, y, z = moved_point(work.X_BK[robot.link_body[g]], c[0], c[1], c[2])
-        work.link_centre[g, 0], work.link_centre[g, 1], work.link_centre[g, 2] = x, y, z
 
 
 @njit(cache=True, error_model="numpy")
 def config_is_free(check, q_arm, work):  # type: ignore[no-untyped-def]
     """Whether the robot at planned joints (D,) keeps its margins to everything; joint limits are not looked at."""
-    robot = check.robot
-    pose_bodies(robot, q_arm, work)
-    for g in range(robot.link_body.shape[0] - 1, -1, -1):  # the hand first: it is what touches most
-        if robot.link_meets_world[g]:
-            row = 1 if robot.link_is_hand[g] else 0
-            if not link_clears_boxes(check, g, check.margins[row, BOXES], work):
-                return False
-            exact = check.exact_hand and row == 1
-            if not link_clears_grids(robot, g, check.target, check.margins[row, TARGET], exact, work):
-                return False
-            if not link_clears_grids(robot, g, check.others, check.margins[row, OTHERS], exact, work):
-                return False
-            if not link_clears_grids(robot, g, check.cloud, check.margins[row, CLOUD], exact, work):
-                return False
-    for k in range(robot.pair.shape[0]):
-        if not links_are_apart(robot, robot.pair[k, 0], robot.pair[k, 1], robot.pair_margin[k], work):
+    pose_robot(check, q_arm, work)
+    if not _clears_boxes(
+        check.links, check.link_info, check.parts, check.part_info, check.vertices, check.num_parts, check.margins,
+        work.X_BK, work.centres, work.poses, work.made, work.simplex,
+    ):  # fmt: skip
+        return False
+    for kind in range(TARGET, CLOUD + 1):
+        if check.kinds[kind] < check.kinds[kind + 1] and not _clears_grids(
+            check.links, check.link_info, check.part_info, check.nodes, check.node_info, check.points, check.grids,
+            check.grid_info, values_of(check, kind), check.kinds, kind, check.margins, check.exact_hand, work.X_BK,
+            work.centres,
+        ):  # fmt: skip
             return False
-    return carried_is_clear(check, work)
+    if not _clears_itself(
+        check.pairs, check.pair_margins, check.links, check.link_info, check.parts, check.part_info, check.vertices,
+        work.X_BK, work.centres, work.poses, work.made, work.simplex,
+    ):  # fmt: skip
+        return False
+    return check.carried_points.shape[0] == 0 or _carried_is_clear(check, work)
 
 
 @njit(cache=True, error_model="numpy")
@@ -75,20 +78,16 @@ def edge_is_free(check, q0, q1, work):  # type: ignore[no-untyped-def]
     if not (config_is_free(check, q0, work) and config_is_free(check, q1, work)):
         return False
     steps = edge_steps(check, q0, q1, work)
-    if steps <= 1:
-        return True
     stride = 1
     while stride < steps:
         stride *= 2
     while stride > 1:
-        half = stride // 2
-        for k in range(half, steps, stride):
-            share = k / steps
+        for k in range(stride // 2, steps, stride):
             for j in range(q0.shape[0]):
-                work.q[j] = q0[j] + share * (q1[j] - q0[j])
+                work.q[j] = q0[j] + k / steps * (q1[j] - q0[j])
             if not config_is_free(check, work.q, work):
                 return False
-        stride = half
+        stride //= 2
     return True
 
 
@@ -99,179 +98,233 @@ def edge_steps(check, q0, q1, work):  # type: ignore[no-untyped-def]
     How far links move is measured over pieces of at most a quarter radian, as the way of their centres plus their
     radius times the angle they turn by, and a tenth more, since a link's way is longer than its chord.
     """
-    robot = check.robot
     widest = 0.0
     for j in range(q0.shape[0]):
         widest = max(widest, abs(q1[j] - q0[j]))
-    if widest == 0.0:
-        return 1
-    pieces = int(math.ceil(widest / 0.25))
+    pieces = max(math.ceil(widest / 0.25), 1)
     farthest = 0.0
     for piece in range(pieces + 1):
         for j in range(q0.shape[0]):
             work.q[j] = q0[j] + piece / pieces * (q1[j] - q0[j])
         work.before[:] = work.X_BK
         link_poses(
-            robot.parents, robot.joint_types, robot.X_parent_joint, robot.axes, robot.coupling, robot.offset, work.q,
+            check.parents, check.joint_types, check.X_parent_joint, check.axes, check.coupling, check.offset, work.q,
             work.X_BK,
         )  # fmt: skip
         if piece > 0:
-            for g in range(robot.link_body.shape[0]):
-                farthest = max(farthest, _link_way(robot, g, work))
+            farthest = max(farthest, _longest_way(check.links, check.link_info, work.before, work.X_BK))
     ways = 1.1 * pieces * farthest / check.max_step_m
-    return max(1, int(math.ceil(max(ways, widest / check.max_step_rad))))
+    return max(1, math.ceil(max(ways, widest / check.max_step_rad)))
 
 
 @njit(cache=True, error_model="numpy")
-def _link_way(robot, g, work):  # type: ignore[no-untyped-def]
-    """How far any point of a link moves at most, to first order, from `work.before` to `work.X_BK`."""
-    body = robot.link_body[g]
-    A, B, c = work.before[body], work.X_BK[body], robot.link_centre[g]
-    ax, ay, az = moved_point(A, c[0], c[1], c[2])
-    bx, by, bz = moved_point(B, c[0], c[1], c[2])
-    trace = 0.0
-    for i in range(3):
-        trace += A[i, 0] * B[i, 0] + A[i, 1] * B[i, 1] + A[i, 2] * B[i, 2]
-    angle = math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0))
-    return math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) + robot.link_radius[g] * angle
+def _longest_way(links, link_info, before, after):  # type: ignore[no-untyped-def]
+    """How far any point of a link moves at most, to first order, between two poses of the bodies (K, 4, 4)."""
+    longest = 0.0
+    for g in range(links.shape[0]):
+        k = link_info[g, BODY]
+        ax, ay, az = _moved(before, k, links[g, 0], links[g, 1], links[g, 2])
+        bx, by, bz = _moved(after, k, links[g, 0], links[g, 1], links[g, 2])
+        trace = 0.0
+        for i in range(3):
+            for j in range(3):
+                trace += before[k, i, j] * after[k, i, j]
+        angle = math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0))
+        way = math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) + links[g, 3] * angle
+        longest = max(longest, way)
+    return longest
 
 
 @njit(cache=True, error_model="numpy")
-def link_clears_boxes(check, g, margin, work):  # type: ignore[no-untyped-def]
-    """Whether link g keeps `margin` to all boxes."""
-    robot = check.robot
-    x, y, z = work.link_centre[g, 0], work.link_centre[g, 1], work.link_centre[g, 2]
-    for b in range(check.box_half.shape[0]):
-        if box_distance(check, b, x, y, z) >= robot.link_radius[g] + margin:
+def pose_robot(check, q_arm, work):  # type: ignore[no-untyped-def]
+    """Poses of the bodies and centres of the links, in B, at planned joints (D,), into `work`."""
+    link_poses(
+        check.parents, check.joint_types, check.X_parent_joint, check.axes, check.coupling, check.offset, q_arm,
+        work.X_BK,
+    )  # fmt: skip
+    links, link_info, centres, X_BK = check.links, check.link_info, work.centres, work.X_BK
+    for g in range(links.shape[0]):
+        centres[g, 0], centres[g, 1], centres[g, 2] = _moved(
+            X_BK, link_info[g, BODY], links[g, 0], links[g, 1], links[g, 2]
+        )
+    work.made[check.num_parts] += 1
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _moved(X, k, x, y, z):  # type: ignore[no-untyped-def]
+    """X[k] @ (x, y, z) for poses X (K, 4, 4)."""
+    return (
+        X[k, 0, 0] * x + X[k, 0, 1] * y + X[k, 0, 2] * z + X[k, 0, 3],
+        X[k, 1, 0] * x + X[k, 1, 1] * y + X[k, 1, 2] * z + X[k, 1, 3],
+        X[k, 2, 0] * x + X[k, 2, 1] * y + X[k, 2, 2] * z + X[k, 2, 3],
+    )
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _into_frame(table, i, c, x, y, z):  # type: ignore[no-untyped-def]
+    """(x, y, z) in the frame whose pose is in row i of a table, from column c on."""
+    dx, dy, dz = x - table[i, c + 3], y - table[i, c + 7], z - table[i, c + 11]
+    return (
+        table[i, c] * dx + table[i, c + 4] * dy + table[i, c + 8] * dz,
+        table[i, c + 1] * dx + table[i, c + 5] * dy + table[i, c + 9] * dz,
+        table[i, c + 2] * dx + table[i, c + 6] * dy + table[i, c + 10] * dz,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def box_distance(parts, b, x, y, z):  # type: ignore[no-untyped-def]
+    """Signed distance from (x, y, z), in B, to the box in row b of `parts`."""
+    u, v, w = _into_frame(parts, b, POSE, x, y, z)
+    return box_sdf(u, v, w, parts[b, SIZE], parts[b, SIZE + 1], parts[b, SIZE + 2])
+
+
+@njit(cache=True, error_model="numpy")
+def pose_part(parts, part, X_BK, k, poses, made):  # type: ignore[no-untyped-def]
+    """The pose in B of a part of body k into its row of `poses`, unless this check has made it before."""
+    now = made[made.shape[0] - 1]
+    if made[part] == now:
+        return
+    made[part] = now
+    for r in range(3):
+        for c in range(4):
+            poses[part, 4 * r + c] = (
+                X_BK[k, r, 0] * parts[part, POSE + c]
+                + X_BK[k, r, 1] * parts[part, POSE + 4 + c]
+                + X_BK[k, r, 2] * parts[part, POSE + 8 + c]
+            )
+        poses[part, 4 * r + 3] += X_BK[k, r, 3]
+
+
+@njit(cache=True, error_model="numpy")
+def _clears_boxes(
+    links, link_info, parts, part_info, vertices, num_parts, margins, X_BK, centres, poses, made, simplex
+):  # type: ignore[no-untyped-def]
+    """Whether all links keep their margins to all boxes. The hand first: it is what touches most."""
+    for g in range(links.shape[0] - 1, -1, -1):
+        if link_info[g, MEETS_WORLD] == 0:
             continue
-        for part in range(robot.link_part_start[g], robot.link_part_start[g + 1]):
-            c = robot.part_centre[part]
-            px, py, pz = moved_point(work.X_BK[robot.link_body[g]], c[0], c[1], c[2])
-            if box_distance(check, b, px, py, pz) >= robot.part_radius[part] + margin:
-                continue
-            if part_box_gap(check, g, part, b, margin, work) < margin:
+        margin = margins[link_info[g, IS_HAND], BOXES]
+        for b in range(num_parts, parts.shape[0]):
+            if box_distance(parts, b, centres[g, 0], centres[g, 1], centres[g, 2]) < links[g, 3] + margin:
+                gap = link_box_gap(
+                    link_info, parts, part_info, vertices, g, b, margin, True, X_BK, poses, made, simplex
+                )
+                if gap < margin:
+                    return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def link_box_gap(link_info, parts, part_info, vertices, g, b, need, any_will_do, X_BK, poses, made, simplex):  # type: ignore[no-untyped-def]
+    """Distance of link g and the box in row b of `parts` where it is less than `need`, else `need`.
+
+    any_will_do: a distance less than `need` is enough, it need not be the least.
+    """
+    k = link_info[g, BODY]
+    best = need
+    for part in range(link_info[g, FIRST_PART], link_info[g, END_PART]):
+        x, y, z = _moved(X_BK, k, parts[part, 0], parts[part, 1], parts[part, 2])
+        if box_distance(parts, b, x, y, z) < parts[part, 3] + best:
+            pose_part(parts, part, X_BK, k, poses, made)
+            best = min(best, convex_gap(parts, part_info, vertices, poses, part, b, best, simplex))
+            if best <= 0.0 or (any_will_do and best < need):
+                return best
+    return best
+
+
+@njit(cache=True, error_model="numpy")
+def _clears_itself(
+    pairs, pair_margins, links, link_info, parts, part_info, vertices, X_BK, centres, poses, made, simplex
+):  # type: ignore[no-untyped-def]
+    """Whether all pairs of links keep their margins."""
+    for p in range(pairs.shape[0]):
+        g, h = pairs[p, 0], pairs[p, 1]
+        reach = links[g, 3] + links[h, 3] + pair_margins[p]
+        dx, dy, dz = centres[g, 0] - centres[h, 0], centres[g, 1] - centres[h, 1], centres[g, 2] - centres[h, 2]
+        if dx * dx + dy * dy + dz * dz < reach * reach:
+            gap = links_gap(
+                links, link_info, parts, part_info, vertices, g, h, pair_margins[p], X_BK, centres, poses, made,
+                simplex,
+            )  # fmt: skip
+            if gap < pair_margins[p]:
                 return False
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def box_distance(check, b, x, y, z):  # type: ignore[no-untyped-def]
-    """Signed distance from (x, y, z), in B, to a box."""
-    X, half = check.box_X[b], check.box_half[b]
-    dx, dy, dz = x - X[0, 3], y - X[1, 3], z - X[2, 3]
-    return box_sdf(
-        X[0, 0] * dx + X[1, 0] * dy + X[2, 0] * dz,
-        X[0, 1] * dx + X[1, 1] * dy + X[2, 1] * dz,
-        X[0, 2] * dx + X[1, 2] * dy + X[2, 2] * dz,
-        half[0], half[1], half[2],
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def _pose_part(robot, g, part, work, out):  # type: ignore[no-untyped-def]
-    """X of a part of link g in B into the upper rows of out (4, 4)."""
-    A, P = work.X_BK[robot.link_body[g]], robot.part_X[part]
-    for r in range(3):
-        for c in range(4):
-            out[r, c] = A[r, 0] * P[0, c] + A[r, 1] * P[1, c] + A[r, 2] * P[2, c]
-        out[r, 3] += A[r, 3]
-
-
-@njit(cache=True, error_model="numpy")
-def part_box_gap(check, g, part, b, need, work):  # type: ignore[no-untyped-def]
-    """`convex_gap` of a part of link g and a box."""
-    robot = check.robot
-    _pose_part(robot, g, part, work, work.X_a)
-    work.start[0] = work.X_a[0, 3] - check.box_X[b, 0, 3]
-    work.start[1] = work.X_a[1, 3] - check.box_X[b, 1, 3]
-    work.start[2] = work.X_a[2, 3] - check.box_X[b, 2, 3]
-    corners = robot.vertices[robot.vertex_start[part] : robot.vertex_start[part + 1]]
-    return convex_gap(
-        robot.part_kind[part], robot.part_size[part], corners, work.X_a, _BOX, check.box_half[b], corners,
-        check.box_X[b], work.start, need, work.simplex,
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def parts_gap(robot, g, a, h, b, need, work):  # type: ignore[no-untyped-def]
-    """`convex_gap` of part a of link g and part b of link h."""
-    _pose_part(robot, g, a, work, work.X_a)
-    _pose_part(robot, h, b, work, work.X_b)
-    for i in range(3):
-        work.start[i] = work.X_a[i, 3] - work.X_b[i, 3]
-    return convex_gap(
-        robot.part_kind[a], robot.part_size[a], robot.vertices[robot.vertex_start[a] : robot.vertex_start[a + 1]],
-        work.X_a, robot.part_kind[b], robot.part_size[b],
-        robot.vertices[robot.vertex_start[b] : robot.vertex_start[b + 1]], work.X_b, work.start, need, work.simplex,
-    )  # fmt: skip
-
-
-@njit(cache=True, error_model="numpy")
-def links_are_apart(robot, g, h, margin, work):  # type: ignore[no-untyped-def]
-    """Whether two links keep `margin` to each other."""
-    return links_gap(robot, g, h, margin, work) >= margin
-
-
-@njit(cache=True, error_model="numpy")
-def links_gap(robot, g, h, need, work):  # type: ignore[no-untyped-def]
-    """Distance of two links where it is less than `need`, else something >= need; 0 where they overlap."""
-    c, d = work.link_centre[g], work.link_centre[h]
-    reach = robot.link_radius[g] + robot.link_radius[h] + need
-    if (c[0] - d[0]) ** 2 + (c[1] - d[1]) ** 2 + (c[2] - d[2]) ** 2 >= reach * reach:
-        return need
-    X_g, X_h = work.X_BK[robot.link_body[g]], work.X_BK[robot.link_body[h]]
+def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, centres, poses, made, simplex):  # type: ignore[no-untyped-def]
+    """Distance of links g and h where it is less than `need`, else `need`; 0 where they overlap."""
+    i, j = link_info[g, BODY], link_info[h, BODY]
     best = need
-    for a in range(robot.link_part_start[g], robot.link_part_start[g + 1]):
-        c = robot.part_centre[a]
-        ax, ay, az = moved_point(X_g, c[0], c[1], c[2])
-        reach = robot.part_radius[a] + robot.link_radius[h] + best
-        if (ax - d[0]) ** 2 + (ay - d[1]) ** 2 + (az - d[2]) ** 2 >= reach * reach:
+    for a in range(link_info[g, FIRST_PART], link_info[g, END_PART]):
+        ax, ay, az = _moved(X_BK, i, parts[a, 0], parts[a, 1], parts[a, 2])
+        dx, dy, dz = ax - centres[h, 0], ay - centres[h, 1], az - centres[h, 2]
+        reach = parts[a, 3] + links[h, 3] + best
+        if dx * dx + dy * dy + dz * dz >= reach * reach:
             continue
-        for b in range(robot.link_part_start[h], robot.link_part_start[h + 1]):
-            e = robot.part_centre[b]
-            bx, by, bz = moved_point(X_h, e[0], e[1], e[2])
-            reach = robot.part_radius[a] + robot.part_radius[b] + best
+        for b in range(link_info[h, FIRST_PART], link_info[h, END_PART]):
+            bx, by, bz = _moved(X_BK, j, parts[b, 0], parts[b, 1], parts[b, 2])
+            reach = parts[a, 3] + parts[b, 3] + best
             if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 < reach * reach:
-                best = min(best, parts_gap(robot, g, a, h, b, best, work))
+                pose_part(parts, a, X_BK, i, poses, made)
+                pose_part(parts, b, X_BK, j, poses, made)
+                best = min(best, convex_gap(parts, part_info, vertices, poses, a, b, best, simplex))
                 if best <= 0.0:
                     return 0.0
     return best
 
 
 @njit(cache=True, error_model="numpy")
-def link_clears_grids(robot, g, grids, margin, exact, work):  # type: ignore[no-untyped-def]
-    """Whether link g keeps `margin` to all things of `grids`; exact: by its points, not by its spheres."""
-    for a in range(grids.radius.shape[0]):
-        c = work.link_centre[g]
-        reach = robot.link_radius[g] + grids.radius[a] + margin
-        dx, dy, dz = c[0] - grids.centre[a, 0], c[1] - grids.centre[a, 1], c[2] - grids.centre[a, 2]
-        if dx * dx + dy * dy + dz * dz < reach * reach:
-            if link_grid_gap(robot, g, grids, a, grids.X_BA[a], margin, exact, work) < margin:
-                return False
+def _clears_grids(
+    links, link_info, part_info, nodes, node_info, points, grids, grid_info, values, kinds, kind, margins, exact_hand,
+    X_BK, centres,
+):  # type: ignore[no-untyped-def]  # fmt: skip
+    """Whether all links keep their margins to all things of one kind."""
+    for g in range(links.shape[0] - 1, -1, -1):
+        if link_info[g, MEETS_WORLD] == 0:
+            continue
+        is_hand = link_info[g, IS_HAND]
+        margin = margins[is_hand, kind]
+        for a in range(kinds[kind], kinds[kind + 1]):
+            reach = links[g, 3] + grids[a, RADIUS] + margin
+            dx, dy = centres[g, 0] - grids[a, MIDDLE], centres[g, 1] - grids[a, MIDDLE + 1]
+            dz = centres[g, 2] - grids[a, MIDDLE + 2]
+            if dx * dx + dy * dy + dz * dz < reach * reach:
+                gap = link_grid_gap(
+                    link_info, part_info, nodes, node_info, points, grids, grid_info, values, g, a, grids, FRAME,
+                    margin, exact_hand and is_hand == 1, X_BK,
+                )  # fmt: skip
+                if gap < margin:
+                    return False
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def link_grid_gap(robot, g, grids, a, X_BA, need, exact, work):  # type: ignore[no-untyped-def]
-    """A distance of link g and thing a at X_BA that is < need where the spheres (exact: the points) are nearer.
+def link_grid_gap(
+    link_info, part_info, nodes, node_info, points, grids, grid_info, values, g, a, frames, column, need, exact, X_BK
+):  # type: ignore[no-untyped-def]
+    """A distance of link g and thing a that is < need where the spheres (exact: the points) are nearer.
 
-    It is then the first found, not the least; else it is `need`.
+    It is then the first found, not the least; else it is `need`. The thing's frame in B is in row a of `frames`, from
+    `column` on.
     """
-    X = work.X_BK[robot.link_body[g]]
-    for part in range(robot.link_part_start[g], robot.link_part_start[g + 1]):
-        i, end = robot.node_start[part], robot.node_start[part + 1]
+    k = link_info[g, BODY]
+    for part in range(link_info[g, FIRST_PART], link_info[g, END_PART]):
+        i, end = part_info[part, FIRST_NODE], part_info[part, END_NODE]
         while i < end:
-            x, y, z = point_in_frame(X, X_BA, robot.node_centre[i])
-            d = grid_lower_bound(grids, a, x, y, z, robot.node_radius[i] + need) - robot.node_radius[i]
+            x, y, z = _moved(X_BK, k, nodes[i, 0], nodes[i, 1], nodes[i, 2])
+            x, y, z = _into_frame(frames, a, column, x, y, z)
+            d = grid_lower_bound(grids, grid_info, values, a, x, y, z, nodes[i, 3] + need) - nodes[i, 3]
             if d >= need:
-                i = robot.node_skip[i]
+                i = node_info[i, 0]
                 continue
-            if robot.node_skip[i] == i + 1:
+            if node_info[i, 0] == i + 1:  # a leaf
                 if not exact:
                     return d
-                for k in range(robot.point_start[i], robot.point_start[i + 1]):
-                    x, y, z = point_in_frame(X, X_BA, robot.points[k])
-                    d = grid_lower_bound(grids, a, x, y, z, need)
+                for p in range(node_info[i, 1], node_info[i + 1, 1]):
+                    x, y, z = _moved(X_BK, k, points[p, 0], points[p, 1], points[p, 2])
+                    x, y, z = _into_frame(frames, a, column, x, y, z)
+                    d = grid_lower_bound(grids, grid_info, values, a, x, y, z, need)
                     if d < need:
                         return d
             i += 1
@@ -279,69 +332,69 @@ def link_grid_gap(robot, g, grids, a, X_BA, need, exact, work):  # type: ignore[
 
 
 @njit(cache=True, error_model="numpy")
-def point_in_frame(X_BK, X_BA, p):  # type: ignore[no-untyped-def]
-    """A point p of a body in the frame of a thing."""
-    x, y, z = moved_point(X_BK, p[0], p[1], p[2])
-    dx, dy, dz = x - X_BA[0, 3], y - X_BA[1, 3], z - X_BA[2, 3]
-    return (
-        X_BA[0, 0] * dx + X_BA[1, 0] * dy + X_BA[2, 0] * dz,
-        X_BA[0, 1] * dx + X_BA[1, 1] * dy + X_BA[2, 1] * dz,
-        X_BA[0, 2] * dx + X_BA[1, 2] * dy + X_BA[2, 2] * dz,
-    )
+def values_of(check, kind):  # type: ignore[no-untyped-def]
+    """Values of the grids of one kind of thing."""
+    if kind == TARGET:
+        return check.target_values
+    return check.other_values if kind == OTHERS else check.cloud_values
 
 
 @njit(cache=True, error_model="numpy")
-def carried_is_clear(check, work):  # type: ignore[no-untyped-def]
+def _carried_is_clear(check, work):  # type: ignore[no-untyped-def]
     """Whether what the hand holds keeps its limits to boxes, other objects and the cloud, and the margin to the arm."""
-    carried = check.carried
-    if carried.points.shape[0] == 0:
-        return True
-    X, c = work.X_BK[carried.body], carried.centre
-    x, y, z = moved_point(X, c[0], c[1], c[2])
-    for b in range(check.box_half.shape[0]):
-        if box_distance(check, b, x, y, z) < carried.radius + carried.box_limit[b]:
-            for k in range(carried.points.shape[0]):
-                p = carried.points[k]
-                px, py, pz = moved_point(X, p[0], p[1], p[2])
-                if box_distance(check, b, px, py, pz) < carried.box_limit[b]:
+    X, held = work.X_BK[check.carried_body], check.grids.shape[0] - 1
+    grids, points, limits = check.grids, check.carried_points, check.carried_limits
+    boxes = check.parts.shape[0] - check.num_parts
+    x, y, z = moved_point(X, grids[held, MIDDLE], grids[held, MIDDLE + 1], grids[held, MIDDLE + 2])
+    for b in range(boxes):
+        row = check.num_parts + b
+        if box_distance(check.parts, row, x, y, z) < grids[held, RADIUS] + limits[b]:
+            for p in range(points.shape[0]):
+                px, py, pz = moved_point(X, points[p, 0], points[p, 1], points[p, 2])
+                if box_distance(check.parts, row, px, py, pz) < limits[b]:
                     return False
-    if not _points_clear_grids(carried, X, check.others, carried.other_limit):
-        return False
-    if not _points_clear_grids(carried, X, check.cloud, carried.cloud_limit):
-        return False
-    return _links_clear_carried(check, X, work)
+    for kind in range(OTHERS, CLOUD + 1):
+        for a in range(check.kinds[kind], check.kinds[kind + 1]):
+            limit = limits[boxes + a]
+            reach = grids[held, RADIUS] + grids[a, RADIUS] + max(limit, 0.0)
+            dx, dy, dz = x - grids[a, MIDDLE], y - grids[a, MIDDLE + 1], z - grids[a, MIDDLE + 2]
+            if dx * dx + dy * dy + dz * dz < reach * reach:
+                if points_grid_gap(check, values_of(check, kind), points, X, a, limit) < limit:
+                    return False
+    return _arm_clears_carried(check, work, x, y, z)
 
 
 @njit(cache=True, error_model="numpy")
-def _points_clear_grids(carried, X, grids, limits):  # type: ignore[no-untyped-def]
-    x, y, z = moved_point(X, carried.centre[0], carried.centre[1], carried.centre[2])
-    for a in range(grids.radius.shape[0]):
-        reach = carried.radius + grids.radius[a] + limits[a]
-        dx, dy, dz = x - grids.centre[a, 0], y - grids.centre[a, 1], z - grids.centre[a, 2]
-        if reach > 0.0 and dx * dx + dy * dy + dz * dz < reach * reach:
-            for k in range(carried.points.shape[0]):
-                px, py, pz = point_in_frame(X, grids.X_BA[a], carried.points[k])
-                if grid_lower_bound(grids, a, px, py, pz, limits[a]) < limits[a]:
-                    return False
-    return True
+def points_grid_gap(check, values, points, X, a, need):  # type: ignore[no-untyped-def]
+    """Least distance of points (C, 3) moved by X to thing a where it is less than `need`, else `need`."""
+    best = need
+    for p in range(points.shape[0]):
+        x, y, z = moved_point(X, points[p, 0], points[p, 1], points[p, 2])
+        x, y, z = _into_frame(check.grids, a, FRAME, x, y, z)
+        best = min(best, grid_lower_bound(check.grids, check.grid_info, values, a, x, y, z, best))
+    return best
 
 
 @njit(cache=True, error_model="numpy")
-def _links_clear_carried(check, X, work):  # type: ignore[no-untyped-def]
-    """Whether the arm's spheres keep the arm's margin for the target to what the hand holds."""
-    robot, carried = check.robot, check.carried
-    G = carried.grid.X_BA[0]
+def _arm_clears_carried(check, work, x, y, z):  # type: ignore[no-untyped-def]
+    """Whether the arm's spheres keep the arm's margin for the target to what the hand holds; (x, y, z) its middle."""
+    held, margin = check.grids.shape[0] - 1, check.margins[0, TARGET]
+    X, frames = work.X_BK[check.carried_body], work.frame.reshape(1, 12)
     for r in range(3):
         for c in range(4):
-            work.X_a[r, c] = X[r, 0] * G[0, c] + X[r, 1] * G[1, c] + X[r, 2] * G[2, c]
-        work.X_a[r, 3] += X[r, 3]
-    x, y, z = moved_point(X, carried.centre[0], carried.centre[1], carried.centre[2])
-    margin = check.margins[0, TARGET]
-    for g in range(robot.link_body.shape[0]):
-        if carried.meets_link[g]:
-            c = work.link_centre[g]
-            reach = robot.link_radius[g] + carried.radius + margin
-            if (c[0] - x) ** 2 + (c[1] - y) ** 2 + (c[2] - z) ** 2 < reach * reach:
-                if link_grid_gap(robot, g, carried.grid, 0, work.X_a, margin, False, work) < margin:
+            value = X[r, 3] if c == 3 else 0.0
+            for j in range(3):
+                value += X[r, j] * check.grids[held, FRAME + 4 * j + c]
+            frames[0, 4 * r + c] = value
+    for g in range(check.links.shape[0]):
+        if check.link_info[g, MEETS_CARRIED] == 1:
+            reach = check.links[g, 3] + check.grids[held, RADIUS] + margin
+            dx, dy, dz = x - work.centres[g, 0], y - work.centres[g, 1], z - work.centres[g, 2]
+            if dx * dx + dy * dy + dz * dz < reach * reach:
+                gap = link_grid_gap(
+                    check.link_info, check.part_info, check.nodes, check.node_info, check.points, check.grids[held:],
+                    check.grid_info[held:], check.other_values, g, 0, frames, 0, margin, False, work.X_BK,
+                )  # fmt: skip
+                if gap < margin:
                     return False
     return True

@@ -8,22 +8,32 @@ import numpy as np
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
+from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.parts import part_distances, sample_part
-from neuralgrasps.planning.collision_arrays import CheckArrays, Grids, Work
-from neuralgrasps.planning.collision_kernels import (
-    BOXES,
+from neuralgrasps.planning.collision_arrays import (
+    BODY,
     CLOUD,
-    OTHERS,
+    END_PART,
+    FIRST_PART,
+    FRAME,
+    IS_HAND,
+    MEETS_WORLD,
+    POSE,
     TARGET,
+    CheckArrays,
+    Work,
+)
+from neuralgrasps.planning.collision_kernels import (
     box_distance,
+    link_box_gap,
     link_grid_gap,
     links_gap,
-    part_box_gap,
-    point_in_frame,
-    pose_bodies,
+    points_grid_gap,
+    pose_robot,
+    values_of,
 )
 from neuralgrasps.planning.collision_robot import robot_shape
-from neuralgrasps.planning.grid_kernels import grid_lower_bound
 
 if TYPE_CHECKING:
     from neuralgrasps.planning.collision import CollisionChecker
@@ -33,108 +43,84 @@ _WORDS = 3  # at most so many contacts are named
 
 
 def world_gaps(arrays: CheckArrays, q_arm: np.ndarray, work: Work, cap_m: float) -> np.ndarray:
-    """(G + 1, boxes + target + others + clouds) distances, metres, at most `cap_m`; the last row is what is carried.
+    """(G + 1, Nb + A) distances, metres, at most `cap_m`, of links to boxes and things; last row: what is carried.
 
-    0 where a link overlaps a box; negative in grids and for what is carried. Links fixed to the base have `cap_m`.
+    0 where a link overlaps a box; negative in grids and for what is carried. Links fixed to the base have `cap_m`, as
+    has what is not looked at.
     """
-    count = len(arrays.box_half) + sum(len(g.radius) for g in (arrays.target, arrays.others, arrays.cloud))
-    out = np.full((len(arrays.robot.link_body) + 1, count), cap_m)
-    pose_bodies(arrays.robot, q_arm, work)
-    _box_gaps(arrays, cap_m, work, out)
-    column = len(arrays.box_half)
-    for grids in (arrays.target, arrays.others, arrays.cloud):
-        _grid_gaps(arrays, grids, cap_m, column, work, out)
-        column += len(grids.radius)
+    boxes = len(arrays.parts) - arrays.num_parts
+    out = np.full((len(arrays.links) + 1, boxes + int(arrays.kinds[-1])), cap_m)
+    pose_robot(arrays, q_arm, work)
+    _link_gaps(arrays, work, out)
+    if len(arrays.carried_points):
+        out[-1] = np.minimum(points_gaps(arrays, arrays.carried_points, work.X_BK[arrays.carried_body]), cap_m)
     return out
 
 
 @njit(cache=True, error_model="numpy")
-def _box_gaps(check, cap, work, out):  # type: ignore[no-untyped-def]
-    robot, carried = check.robot, check.carried
-    for b in range(check.box_half.shape[0]):
-        for g in range(robot.link_body.shape[0]):
-            if robot.link_meets_world[g]:
-                for part in range(robot.link_part_start[g], robot.link_part_start[g + 1]):
-                    out[g, b] = min(out[g, b], part_box_gap(check, g, part, b, out[g, b], work))
-        X = work.X_BK[carried.body]
-        for k in range(carried.points.shape[0]):
-            x, y, z = moved_point(X, carried.points[k, 0], carried.points[k, 1], carried.points[k, 2])
-            out[-1, b] = min(out[-1, b], box_distance(check, b, x, y, z))
-
-
-@njit(cache=True, error_model="numpy")
-def _grid_gaps(check, grids, cap, column, work, out):  # type: ignore[no-untyped-def]
-    robot, carried = check.robot, check.carried
-    for a in range(grids.radius.shape[0]):
-        for g in range(robot.link_body.shape[0]):
-            if robot.link_meets_world[g]:
-                exact = check.exact_hand and robot.link_is_hand[g]
-                best = cap
+def _link_gaps(check, work, out):  # type: ignore[no-untyped-def]
+    boxes = check.parts.shape[0] - check.num_parts
+    for g in range(check.links.shape[0]):
+        if check.link_info[g, MEETS_WORLD] == 0:
+            continue
+        for b in range(boxes):
+            out[g, b] = link_box_gap(
+                check.link_info, check.parts, check.part_info, check.vertices, g, check.num_parts + b, out[g, b],
+                False, work.X_BK, work.poses, work.made, work.simplex,
+            )  # fmt: skip
+        exact = check.exact_hand and check.link_info[g, IS_HAND] == 1
+        for kind in range(TARGET, CLOUD + 1):
+            for a in range(check.kinds[kind], check.kinds[kind + 1]):
                 while True:  # each turn finds something nearer
-                    d = link_grid_gap(robot, g, grids, a, grids.X_BA[a], best, exact, work)
-                    if d >= best:
+                    gap = link_grid_gap(
+                        check.link_info, check.part_info, check.nodes, check.node_info, check.points, check.grids,
+                        check.grid_info, values_of(check, kind), g, a, check.grids, FRAME, out[g, boxes + a], exact,
+                        work.X_BK,
+                    )  # fmt: skip
+                    if gap >= out[g, boxes + a]:
                         break
-                    best = d
-                out[g, column + a] = best
-        X = work.X_BK[carried.body]
-        for k in range(carried.points.shape[0]):
-            x, y, z = point_in_frame(X, grids.X_BA[a], carried.points[k])
-            out[-1, column + a] = min(out[-1, column + a], grid_lower_bound(grids, a, x, y, z, cap))
+                    out[g, boxes + a] = gap
 
 
 @njit(cache=True, error_model="numpy")
-def grid_gap(grids, a, points_B):  # type: ignore[no-untyped-def]
-    """Least distance of points (M, 3) in B to thing a, metres."""
-    best = np.inf
-    eye = np.eye(4)
-    for k in range(points_B.shape[0]):
-        x, y, z = point_in_frame(eye, grids.X_BA[a], points_B[k])
-        best = min(best, grid_lower_bound(grids, a, x, y, z, best))
-    return best
+def points_gaps(check, points, X):  # type: ignore[no-untyped-def]
+    """(Nb + A,) least signed distances of points (C, 3) moved by X (4, 4) to all boxes and things, metres.
 
-
-@njit(cache=True, error_model="numpy")
-def box_gap(check, b, points_B):  # type: ignore[no-untyped-def]
-    """Least signed distance of points (M, 3) in B to box b, metres."""
-    best = np.inf
-    for k in range(points_B.shape[0]):
-        best = min(best, box_distance(check, b, points_B[k, 0], points_B[k, 1], points_B[k, 2]))
-    return best
-
-
-def start_limits(
-    arrays: CheckArrays, grids: Grids | None, points_B: np.ndarray, *, margin: float, sink: float
-) -> np.ndarray:
-    """Least distances that a carried thing must keep: the margin, or what it has at its start less `sink`.
-
-    To the boxes where `grids` is None, else to its things.
+    To the target it is infinite where it is no obstacle.
     """
-    count = len(arrays.box_half) if grids is None else len(grids.radius)
-    gaps = [box_gap(arrays, k, points_B) if grids is None else grid_gap(grids, k, points_B) for k in range(count)]
-    return np.minimum(margin, np.array(gaps, float) - sink)
+    boxes = check.parts.shape[0] - check.num_parts
+    out = np.full(boxes + check.kinds[-1], np.inf)
+    for b in range(boxes):
+        for p in range(points.shape[0]):
+            x, y, z = moved_point(X, points[p, 0], points[p, 1], points[p, 2])
+            out[b] = min(out[b], box_distance(check.parts, check.num_parts + b, x, y, z))
+    for kind in range(TARGET, CLOUD + 1):
+        for a in range(check.kinds[kind], check.kinds[kind + 1]):
+            out[boxes + a] = points_grid_gap(check, values_of(check, kind), points, X, a, np.inf)
+    return out
 
 
 def describe(checker: CollisionChecker, q_arm: np.ndarray) -> str:
     """The worst contacts at q_arm (D,), in words."""
-    arrays, found = checker.arrays, []
-    gaps = world_gaps(arrays, q_arm, checker.work, 0.1)
-    names, limits = _names(checker), _limits(arrays)
+    arrays, work, found = checker.arrays, checker.work, []
+    gaps, limits = world_gaps(arrays, q_arm, work, 0.1), _limits(arrays)
+    rows, columns = _names(checker)
+    boxes = len(arrays.parts) - arrays.num_parts
     for row, column in zip(*np.nonzero(gaps < limits), strict=True):
-        depth = -gaps[row, column]
-        if column < len(arrays.box_half) and row < len(arrays.robot.link_body) and depth >= 0.0:
-            depth = _depth_in_box(checker, row, column)
-        found.append(
-            (limits[row, column] + depth, _sentence(names[0][row], names[1][column], -depth, limits[row, column]))
-        )
-    pose_bodies(arrays.robot, q_arm, checker.work)
-    robot = arrays.robot
-    for (g, h), margin in zip(robot.pair, robot.pair_margin, strict=True):
-        gap = links_gap(robot, g, h, margin, checker.work)
+        gap = gaps[row, column]
+        if column < boxes and row < len(arrays.links) and gap <= 0.0:
+            gap = -_depth_in_box(checker, row, arrays.num_parts + column)
+        found.append((gap - limits[row, column], _sentence(rows[row], columns[column], gap, limits[row, column])))
+    for (g, h), margin in zip(arrays.pairs, arrays.pair_margins, strict=True):
+        gap = links_gap(
+            arrays.links, arrays.link_info, arrays.parts, arrays.part_info, arrays.vertices, g, h, margin, work.X_BK,
+            work.centres, work.poses, work.made, work.simplex,
+        )  # fmt: skip
         if gap < margin:
-            depth = _depth_of_links(checker, g, h) if gap <= 0.0 else -gap
-            found.append((margin + depth, _sentence(names[0][g], names[0][h], -depth, margin)))
-    found.sort(key=lambda pair: -pair[0])
-    return "; ".join(text for _, text in found[:_WORDS]) or "what is carried touches the arm"
+            gap = gap if gap > 0.0 else -_depth_of_links(checker, g, h)
+            found.append((gap - margin, _sentence(rows[g], rows[h], gap, margin)))
+    found.sort(key=lambda pair: pair[0])
+    return "; ".join(text for _, text in found[:_WORDS]) or f"{rows[-1]} is too near to the arm"
 
 
 def _sentence(link: str, thing: str, gap: float, need: float) -> str:
@@ -146,53 +132,52 @@ def _sentence(link: str, thing: str, gap: float, need: float) -> str:
 def _names(checker: CollisionChecker) -> tuple[list[str], list[str]]:
     """Names of the rows and columns of `world_gaps`."""
     world = checker.world
-    links = robot_shape(checker.manipulator).links
-    rows = [checker.manipulator.tree.link_names[i] for i in links]
-    rows.append(f"the carried {world.target.obj.name}" if world.target is not None else "what is carried")
+    rows = [checker.manipulator.tree.link_names[i] for i in robot_shape(checker.manipulator).links]
+    rows.append("what is carried" if world.target is None else f"the carried {world.target.obj.name}")
     columns = [f"the {b.name}" for b in world.boxes]
-    columns += [f"the target {world.target.obj.name}"] * len(checker.arrays.target.radius) if world.target else []
+    columns += [] if world.target is None else [f"the target {world.target.obj.name}"]
     columns += [f"the {p.obj.name}" for p in world.objects]
-    return rows, columns + ["something seen but not known"] * len(checker.arrays.cloud.radius)
+    return rows, columns + ["something that was seen but is not known"] * (len(world.cloud_B) > 0)
 
 
 def _limits(arrays: CheckArrays) -> np.ndarray:
     """What each entry of `world_gaps` must be at least."""
-    groups = ((BOXES, len(arrays.box_half)), (TARGET, len(arrays.target.radius)), (OTHERS, len(arrays.others.radius)))
-    kinds = np.repeat([k for k, _ in groups] + [CLOUD], [n for _, n in groups] + [len(arrays.cloud.radius)])
-    robot, carried = arrays.robot, arrays.carried
-    rows = arrays.margins[robot.link_is_hand.astype(int)][:, kinds]
-    rows[~robot.link_meets_world] = -np.inf
-    last = np.full(len(kinds), -np.inf)
-    if len(carried.points):
-        last = np.concatenate(
-            [carried.box_limit, np.zeros(len(arrays.target.radius)), carried.other_limit, carried.cloud_limit]
-        )
+    boxes, kinds = len(arrays.parts) - arrays.num_parts, arrays.kinds
+    kind = np.zeros(boxes + kinds[-1], np.int64)
+    kind[boxes:] = np.searchsorted(kinds[2:], np.arange(kinds[-1]), side="right") + 1
+    rows = arrays.margins[arrays.link_info[:, IS_HAND]][:, kind]
+    rows[arrays.link_info[:, MEETS_WORLD] == 0] = -np.inf
+    last = arrays.carried_limits if len(arrays.carried_points) else np.full(len(kind), -np.inf)
     return np.concatenate([rows, last[None]])
 
 
-def _link_points(checker: CollisionChecker, g: int) -> np.ndarray:
-    """Surface points of a link in B, at the posture last posed."""
-    shape, robot = robot_shape(checker.manipulator), checker.arrays.robot
+def _link_parts(checker: CollisionChecker, g: int) -> list[tuple[ConvexPart, np.ndarray]]:
+    """The parts of a link, and its pose in B at the posture last posed."""
+    shape, arrays = robot_shape(checker.manipulator), checker.arrays
     out = []
-    for part in range(robot.link_part_start[g], robot.link_part_start[g + 1]):
-        p = shape.parts[part]
-        X = checker.work.X_BK[robot.link_body[g]] @ robot.part_X[part] @ np.linalg.inv(p.X_LP)
-        out.append(sample_part(p, 1.0 / _SAMPLE_SPACING**2)[0] @ X[:3, :3].T + X[:3, 3])
-    return np.concatenate(out)
+    for i in range(*arrays.link_info[g, FIRST_PART : END_PART + 1]):
+        X_KP = np.eye(4)
+        X_KP[:3] = arrays.parts[i, POSE:].reshape(3, 4)
+        X_BL = checker.work.X_BK[arrays.link_info[g, BODY]] @ X_KP @ inverse_np(shape.parts[i].X_LP)
+        out.append((shape.parts[i], X_BL))
+    return out
 
 
-def _depth_in_box(checker: CollisionChecker, g: int, b: int) -> float:
-    return float(max(-box_gap(checker.arrays, b, _link_points(checker, g)), 0.0))
+def _link_points(checker: CollisionChecker, g: int) -> np.ndarray:
+    """Surface points (M, 3) of a link in B, at the posture last posed."""
+    parts = _link_parts(checker, g)
+    return np.concatenate([sample_part(p, 1.0 / _SAMPLE_SPACING**2)[0] @ X[:3, :3].T + X[:3, 3] for p, X in parts])
+
+
+def _depth_in_box(checker: CollisionChecker, g: int, row: int) -> float:
+    return max(-min(box_distance(checker.arrays.parts, row, *p) for p in _link_points(checker, g)), 0.0)
 
 
 def _depth_of_links(checker: CollisionChecker, g: int, h: int) -> float:
     """How deep the surface points of either link are in the other, metres."""
-    shape, robot, depth = robot_shape(checker.manipulator), checker.arrays.robot, 0.0
+    depth = 0.0
     for one, other in ((g, h), (h, g)):
         points = _link_points(checker, one)
-        for part in range(robot.link_part_start[other], robot.link_part_start[other + 1]):
-            p = shape.parts[part]
-            X = checker.work.X_BK[robot.link_body[other]] @ robot.part_X[part] @ np.linalg.inv(p.X_LP)
-            own = (points - X[:3, 3]) @ X[:3, :3]
-            depth = max(depth, -float(part_distances(p, own).min()))
+        for part, X in _link_parts(checker, other):
+            depth = max(depth, -float(part_distances(part, (points - X[:3, 3]) @ X[:3, :3]).min()))
     return depth

@@ -1,8 +1,8 @@
-"""A manipulator as the arrays of collision checks: bodies fused, sphere trees, and the pairs of links that may touch."""
+"""A manipulator as tables for collision checks: bodies fused, sphere trees, and the pairs of links that may touch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +15,7 @@ from neuralgrasps.hands.parts import bounding_sphere, part_distances
 from neuralgrasps.hands.surface import sample_hand_surface
 from neuralgrasps.kinematics.forward_kernels import forward_fast, joint_motion
 from neuralgrasps.kinematics.tree import FIXED
-from neuralgrasps.planning.collision_arrays import RobotArrays, make_work
+from neuralgrasps.planning.collision_arrays import BODY, IS_HAND
 from neuralgrasps.planning.collision_kernels import links_gap
 from neuralgrasps.planning.spheres import SphereTree, cover_part
 
@@ -25,6 +25,30 @@ POINT_SPACING_M = 0.0055  # of the hand's surface points
 _POSTURES = 48  # random ones that decide which links may touch
 _PAIR_REACH = 0.05  # metres; distances beyond are not measured
 _ALWAYS = 0.5  # share of postures in touch that makes a pair always in touch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotTables:
+    """The robot's part of `CheckArrays`; see there. X_HO of what is held is in `body` at `X_KH @ X_HO`."""
+
+    parents: np.ndarray
+    joint_types: np.ndarray
+    X_parent_joint: np.ndarray
+    axes: np.ndarray
+    coupling: np.ndarray
+    offset: np.ndarray
+    links: np.ndarray
+    link_info: np.ndarray
+    parts: np.ndarray
+    part_info: np.ndarray
+    vertices: np.ndarray
+    nodes: np.ndarray
+    node_info: np.ndarray
+    points: np.ndarray
+    pairs: np.ndarray
+    pair_margins: np.ndarray
+    hand_body: int
+    X_KH: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,48 +125,107 @@ def _with_pairs(manipulator: Manipulator, shape: RobotShape) -> RobotShape:
     ]
     pair = np.array(candidates, np.int64).reshape(-1, 2)
     q = np.random.default_rng(0).uniform(tree.lower, tree.upper, size=(_POSTURES, tree.num_dofs))
-    X_BL = forward_fast(tree, np.concatenate([manipulator.q_home[None], q]))[:, links]
+    X_BL = np.ascontiguousarray(forward_fast(tree, np.concatenate([manipulator.q_home[None], q]))[:, links])
+    loose = _tables(shape, np.arange(len(links)), np.tile(np.eye(4), (len(links), 1, 1)), manipulator.hand_link)
     gaps = np.empty((len(X_BL), len(pair)))
-    robot = _loose_links(manipulator, shape)
-    _pair_gaps(robot, make_work(robot), np.ascontiguousarray(X_BL), pair, _PAIR_REACH, gaps)
+    _pair_gaps(
+        loose.links, loose.link_info, loose.parts, loose.part_info, loose.vertices, X_BL, pair, _PAIR_REACH, gaps
+    )
     touching = gaps <= 0.0
     kept = ~touching[0] & (touching[1:].mean(axis=0) <= _ALWAYS)
     names = [f"{tree.link_names[links[i]]} and {tree.link_names[links[j]]}" for i, j in pair[~kept]]
-    return RobotShape(
-        links=links, parts=shape.parts, trees=shape.trees, points_L=shape.points_L, point_start=shape.point_start,
-        pair=pair[kept], pair_gap=gaps[0, kept], always=tuple(names),
-    )  # fmt: skip
+    return replace(shape, pair=pair[kept], pair_gap=gaps[0, kept], always=tuple(names))
 
 
 @njit(cache=True, error_model="numpy")
-def _pair_gaps(robot, work, X_BL, pair, reach, out):  # type: ignore[no-untyped-def]
+def _pair_gaps(links, link_info, parts, part_info, vertices, X_BL, pair, reach, out):  # type: ignore[no-untyped-def]
     """Distances (N, S) of pairs of links posed as X_BL (N, G, 4, 4), capped at `reach`."""
+    poses, made, simplex = np.empty((parts.shape[0], 12)), np.zeros(parts.shape[0] + 1, np.int64), np.empty((4, 3))
+    centres = np.empty((links.shape[0], 3))
     for n in range(X_BL.shape[0]):
-        work.X_BK[:] = X_BL[n]
-        for g in range(X_BL.shape[1]):
+        made[-1] += 1
+        for g in range(links.shape[0]):
             for r in range(3):
-                c = robot.link_centre[g]
                 X = X_BL[n, g]
-                work.link_centre[g, r] = X[r, 0] * c[0] + X[r, 1] * c[1] + X[r, 2] * c[2] + X[r, 3]
+                centres[g, r] = X[r, 0] * links[g, 0] + X[r, 1] * links[g, 1] + X[r, 2] * links[g, 2] + X[r, 3]
         for k in range(pair.shape[0]):
-            out[n, k] = links_gap(robot, pair[k, 0], pair[k, 1], reach, work)
+            out[n, k] = links_gap(
+                links, link_info, parts, part_info, vertices, pair[k, 0], pair[k, 1], reach, X_BL[n], centres, poses,
+                made, simplex,
+            )  # fmt: skip
 
 
-def _loose_links(manipulator: Manipulator, shape: RobotShape) -> RobotArrays:
-    """Arrays in which every link with parts is a body of its own; its joints are not meant to be used."""
-    count = len(shape.links)
-    X = np.tile(np.eye(4), (count, 1, 1))
-    bodies = _Bodies(
-        parents=np.full(count, -1, np.int32), joint_types=np.zeros(count, np.int8), X_parent_joint=X,
-        axes=np.zeros((count, 3)), coupling=np.zeros((count, len(manipulator.arm_dofs))), offset=np.zeros(count),
-        body=np.arange(count), X_KL=X,
-    )  # fmt: skip
-    return _arrays(manipulator, shape, bodies, self_margin_m=0.0)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Table:
+    """Rows of links, parts, nodes and points, in the frames of their bodies."""
+
+    links: np.ndarray
+    link_info: np.ndarray
+    parts: np.ndarray
+    part_info: np.ndarray
+    vertices: np.ndarray
+    nodes: np.ndarray
+    node_info: np.ndarray
+    points: np.ndarray
+
+
+def _moved(X: np.ndarray, points: np.ndarray) -> np.ndarray:
+    return np.asarray(points @ X[:3, :3].T + X[:3, 3])
+
+
+def _tables(shape: RobotShape, body: np.ndarray, X_KL: np.ndarray, hand_link: int) -> _Table:
+    """All rows, with the body (G,) and X_KL (G, 4, 4) of each link."""
+    of = np.searchsorted(shape.links, [p.link for p in shape.parts])  # link of each part, as an index into `links`
+    ends = np.searchsorted(of, np.arange(len(shape.links) + 1))
+    node_start = np.cumsum([0] + [len(t.radii) for t in shape.trees])
+    hulls = [p.vertices if p.kind == PartKind.HULL else np.zeros((0, 3)) for p in shape.parts]
+    vertex_start = np.cumsum([0] + [len(v) for v in hulls])
+    skip = np.concatenate([t.skip + a for t, a in zip(shape.trees, node_start[:-1], strict=True)] + [np.zeros(1, int)])
+    is_hand = shape.links >= hand_link
+    info = [body, ends[:-1], ends[1:], is_hand, body != 0, np.zeros(len(body))]
+    kinds = [int(p.kind) for p in shape.parts]
+    table = _Table(
+        links=np.zeros((len(body), 4)),
+        link_info=np.column_stack(info).astype(np.int64),
+        parts=np.zeros((len(kinds), 19)),
+        part_info=np.column_stack([kinds, vertex_start[:-1], vertex_start[1:], node_start[:-1], node_start[1:]]),
+        vertices=np.ascontiguousarray(np.concatenate(hulls)),
+        nodes=np.zeros((node_start[-1] + 1, 4)),
+        node_info=np.ascontiguousarray(np.column_stack([skip, shape.point_start]).astype(np.int64)),
+        points=np.zeros_like(shape.points_L),
+    )
+    table.nodes[:-1, 3] = np.concatenate([t.radii for t in shape.trees])
+    _place(shape, table, X_KL, np.arange(len(body)))
+    return table
+
+
+def _place(shape: RobotShape, table: _Table, X_KL: np.ndarray, links: np.ndarray) -> None:
+    """Write what depends on X_KL (G, 4, 4) for some links (rows of `shape.links`)."""
+    for g in links:
+        X, rows = X_KL[g], range(*table.link_info[g, 1:3])
+        for i in rows:
+            part, tree = shape.parts[i], shape.trees[i]
+            centre, radius = bounding_sphere(part)
+            table.parts[i, :3], table.parts[i, 3], table.parts[i, 4:7] = _moved(X, centre), radius, part.size
+            table.parts[i, 7:] = (X @ part.X_LP)[:3].reshape(-1)
+            a, b = table.part_info[i, 3:5]
+            table.nodes[a:b, :3] = _moved(X, tree.centres_L)
+            c, d = shape.point_start[a], shape.point_start[b]
+            table.points[c:d] = _moved(X, shape.points_L[c:d])
+        own = table.parts[rows.start : rows.stop]
+        table.links[g] = _sphere_around(own[:, :3], own[:, 3])
+
+
+def _sphere_around(centres: np.ndarray, radii: np.ndarray) -> np.ndarray:
+    """Centre and radius (4,) of a sphere that holds spheres."""
+    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
+    middle = (low + high) / 2
+    return np.append(middle, (np.linalg.norm(centres - middle, axis=1) + radii).max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Bodies:
-    """Links fused to K bodies that the planned joints move; body and X_KL: of each link of `RobotShape.links`."""
+    """Links fused to K bodies that the planned joints move; body (L,) and X_KL (L, 4, 4) of every link."""
 
     parents: np.ndarray
     joint_types: np.ndarray
@@ -154,13 +237,7 @@ class _Bodies:
     X_KL: np.ndarray
 
 
-def robot_arrays(manipulator: Manipulator, q_hand: np.ndarray, *, self_margin_m: float) -> RobotArrays:
-    """The arrays at hand joints (J,); pairs closer than twice the margin at home get half of that distance."""
-    shape = robot_shape(manipulator)
-    return _arrays(manipulator, shape, _fused(manipulator, q_hand, shape.links), self_margin_m=self_margin_m)
-
-
-def _fused(manipulator: Manipulator, q_hand: np.ndarray, links: np.ndarray) -> _Bodies:
+def _fused(manipulator: Manipulator, q_hand: np.ndarray) -> _Bodies:
     tree = manipulator.tree
     planned = tree.coupling[:, manipulator.arm_dofs]
     q_rest = manipulator.full_q(np.zeros(len(manipulator.arm_dofs)), q_hand)
@@ -184,81 +261,34 @@ def _fused(manipulator: Manipulator, q_hand: np.ndarray, links: np.ndarray) -> _
     return _Bodies(
         parents=np.array(parents, np.int32), joint_types=types, X_parent_joint=np.array(X_joint),
         axes=tree.axes[first], coupling=np.ascontiguousarray(planned[first]), offset=rest[first].copy(),
-        body=body[links], X_KL=X_KL[links],
+        body=body, X_KL=X_KL,
     )  # fmt: skip
 
 
-def _moved(X: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return np.asarray(points @ X[:3, :3].T + X[:3, 3])
+@lru_cache(maxsize=8)
+def _open_tables(manipulator: Manipulator) -> _Table:
+    """The rows at home; other hand joints change those of the hand only."""
+    shape = robot_shape(manipulator)
+    bodies = _fused(manipulator, manipulator.q_home[manipulator.hand_dofs])
+    return _tables(shape, bodies.body[shape.links], bodies.X_KL[shape.links], manipulator.hand_link)
 
 
-def _arrays(manipulator: Manipulator, shape: RobotShape, bodies: _Bodies, *, self_margin_m: float) -> RobotArrays:
-    links, parts = shape.links, shape.parts
-    of = np.searchsorted(links, [p.link for p in parts])  # link of each part, as an index into `links`
-    spheres = [bounding_sphere(p) for p in parts]
-    part_centre = np.array([_moved(bodies.X_KL[g], c) for g, (c, _) in zip(of, spheres, strict=True)])
-    part_radius = np.array([r for _, r in spheres])
-    part_start = np.searchsorted(of, np.arange(len(links) + 1))
-    around = [
-        _sphere_around(part_centre[a:b], part_radius[a:b]) for a, b in zip(part_start, part_start[1:], strict=False)
-    ]
-    is_hand = links >= manipulator.hand_link
-    meets = bodies.body != 0
-    nodes = _nodes(shape, bodies.X_KL, of)
-    different = bodies.body[shape.pair[:, 0]] != bodies.body[shape.pair[:, 1]]
-    hulls = [p.vertices if p.kind == PartKind.HULL else np.zeros((0, 3)) for p in parts]
-    return RobotArrays(
-        parents=bodies.parents, joint_types=bodies.joint_types,
-        X_parent_joint=np.ascontiguousarray(bodies.X_parent_joint), axes=np.ascontiguousarray(bodies.axes),
-        coupling=bodies.coupling, offset=bodies.offset,
-        link_body=bodies.body.astype(np.int64), link_part_start=part_start.astype(np.int64),
-        link_centre=np.array([c for c, _ in around]), link_radius=np.array([r for _, r in around]),
-        link_is_hand=is_hand, link_meets_world=meets,
-        part_kind=np.array([int(p.kind) for p in parts], np.int64),
-        part_size=np.array([p.size for p in parts], float),
-        part_X=np.array([bodies.X_KL[g] @ p.X_LP for g, p in zip(of, parts, strict=True)]),
-        part_centre=part_centre, part_radius=part_radius,
-        vertex_start=np.cumsum([0] + [len(v) for v in hulls]).astype(np.int64),
-        vertices=np.ascontiguousarray(np.concatenate(hulls)),
-        pair=np.ascontiguousarray(shape.pair[different]),
-        pair_margin=np.minimum(self_margin_m, 0.5 * shape.pair_gap[different]),
-        **nodes,
+def robot_tables(manipulator: Manipulator, q_hand: np.ndarray, *, self_margin_m: float) -> RobotTables:
+    """The robot at hand joints (J,); pairs closer than twice the margin at home get half of that distance."""
+    shape, known = robot_shape(manipulator), _open_tables(manipulator)
+    bodies = _fused(manipulator, q_hand)
+    moving = ("links", "parts", "nodes", "points")
+    table = replace(known, **{name: getattr(known, name).copy() for name in moving})
+    _place(shape, table, bodies.X_KL[shape.links], np.flatnonzero(known.link_info[:, IS_HAND]))
+    body = known.link_info[:, BODY]
+    different = body[shape.pair[:, 0]] != body[shape.pair[:, 1]]
+    return RobotTables(
+        parents=bodies.parents, joint_types=bodies.joint_types, X_parent_joint=bodies.X_parent_joint,
+        axes=bodies.axes, coupling=bodies.coupling, offset=bodies.offset,
+        links=table.links, link_info=table.link_info, parts=table.parts, part_info=table.part_info,
+        vertices=table.vertices, nodes=table.nodes, node_info=table.node_info, points=table.points,
+        pairs=np.ascontiguousarray(shape.pair[different]),
+        pair_margins=np.minimum(self_margin_m, 0.5 * shape.pair_gap[different]),
+        hand_body=int(bodies.body[manipulator.hand_link]),
+        X_KH=bodies.X_KL[manipulator.hand_link],
     )  # fmt: skip
-
-
-def _nodes(shape: RobotShape, X_KL: np.ndarray, of: np.ndarray) -> dict[str, np.ndarray]:
-    """The sphere trees and the points of the hand in the bodies' frames."""
-    start = np.cumsum([0] + [len(t.radii) for t in shape.trees]).astype(np.int64)
-    centre, points = np.empty((start[-1], 3)), np.empty_like(shape.points_L)
-    for i, (g, tree) in enumerate(zip(of, shape.trees, strict=True)):
-        a, b = start[i], start[i + 1]
-        centre[a:b] = _moved(X_KL[g], tree.centres_L)
-        c, d = shape.point_start[a], shape.point_start[b]
-        points[c:d] = _moved(X_KL[g], shape.points_L[c:d])
-    return {
-        "node_start": start,
-        "node_centre": centre,
-        "node_radius": np.concatenate([t.radii for t in shape.trees]),
-        "node_skip": np.concatenate([t.skip + a for t, a in zip(shape.trees, start, strict=False)]),
-        "point_start": shape.point_start,
-        "points": points,
-    }
-
-
-def _sphere_around(centres: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, float]:
-    """A sphere that holds spheres."""
-    low, high = (centres - radii[:, None]).min(axis=0), (centres + radii[:, None]).max(axis=0)
-    middle = (low + high) / 2
-    return middle, float((np.linalg.norm(centres - middle, axis=1) + radii).max())
-
-
-def hand_in_body(manipulator: Manipulator, q_hand: np.ndarray) -> tuple[int, np.ndarray]:
-    """The body that the hand base belongs to, and X_KH (4, 4)."""
-    bodies = _fused(manipulator, q_hand, np.array([manipulator.hand_link]))
-    return int(bodies.body[0]), bodies.X_KL[0]
-
-
-def pose_in_hand(manipulator: Manipulator, q_hand: np.ndarray, X_HO: np.ndarray) -> tuple[int, np.ndarray]:
-    """The body that carries the hand, and X_KO (4, 4) of something held at X_HO."""
-    body, X_KH = hand_in_body(manipulator, q_hand)
-    return body, X_KH @ np.asarray(X_HO, float)

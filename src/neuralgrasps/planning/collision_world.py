@@ -10,8 +10,20 @@ import numpy as np
 
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.geometry.sdf_grid import SdfGrid, query_grid_numpy
+from neuralgrasps.hands.hand import PartKind
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.planning.collision_arrays import Grids
+from neuralgrasps.planning.cloud_field import cloud_grid
+from neuralgrasps.planning.collision_arrays import (
+    ERROR,
+    FRAME,
+    GRID_COLUMNS,
+    HIGH,
+    INV_SPACING,
+    LOW,
+    MIDDLE,
+    ORIGIN,
+    RADIUS,
+)
 from neuralgrasps.planning.world import BoxObstacle
 
 _MOST_NODES = 60_000  # of the grid of an object that is not the target
@@ -80,47 +92,57 @@ def _surface(obj: ObjectModel) -> np.ndarray:
     return np.ascontiguousarray(np.concatenate([even, obj.mesh.vertices[outermost]]))
 
 
-def no_grids() -> Grids:
-    """Nothing."""
-    return stack_grids([])
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Thing:
+    """A distance grid at X_BA (4, 4) and the box (3,), (3,) around what it holds; error_m: by which it may be wrong."""
+
+    grid: SdfGrid
+    error_m: float
+    low: np.ndarray
+    high: np.ndarray
+    X_BA: np.ndarray
 
 
-def stack_grids(things: Sequence[tuple[SdfGrid, float, np.ndarray, np.ndarray, np.ndarray]]) -> Grids:
-    """Grids of (grid, error, low (3,), high (3,), X_BA (4, 4)); one alone is not copied."""
-    grids = [thing[0] for thing in things]
-    flat = [g.values.reshape(-1) for g in grids]
-    values = flat[0] if len(flat) == 1 else np.concatenate(flat) if flat else np.zeros(0, np.float32)
-    low, high = (np.array([t[k] for t in things], float).reshape(-1, 3) for k in (2, 3))
-    X_BA = np.array([t[4] for t in things], float).reshape(-1, 4, 4)
-    middle = (low + high) / 2
-    return Grids(
-        values=values,
-        start=np.cumsum([0] + [len(f) for f in flat])[:-1].astype(np.int64),
-        sides=np.array([g.values.shape for g in grids], np.int64).reshape(-1, 3),
-        origin=np.array([g.origin for g in grids], float).reshape(-1, 3),
-        inv_spacing=np.array([g.inv_spacing for g in grids], float),
-        low=low,
-        high=high,
-        error=np.array([t[1] for t in things], float),
-        X_BA=X_BA,
-        centre=np.einsum("aij,aj->ai", X_BA[:, :3, :3], middle) + X_BA[:, :3, 3],
-        radius=np.linalg.norm(high - middle, axis=1),
-    )
-
-
-def full_grid(obj: ObjectModel, X_BO: np.ndarray) -> Grids:
+def whole_thing(obj: ObjectModel, X_BO: np.ndarray) -> Thing:
     """One object by its own grid."""
     low, high = np.asarray(obj.mesh.bounds, float)
-    return stack_grids([(obj.sdf, 0.0, low, high, np.asarray(X_BO, float))])
+    return Thing(grid=obj.sdf, error_m=0.0, low=low, high=high, X_BA=np.asarray(X_BO, float))
 
 
-def thinned_grids(objects: Sequence[tuple[ObjectModel, np.ndarray]]) -> Grids:
-    """Objects at X_BO by thinned grids, whose error is taken off."""
-    shapes = [(object_shape(obj), X_BO) for obj, X_BO in objects]
-    return stack_grids([(s.grid, s.error_m, s.low, s.high, np.asarray(X, float)) for s, X in shapes])
+def thinned_thing(obj: ObjectModel, X_BO: np.ndarray) -> Thing:
+    """One object by its thinned grid, whose error is taken off."""
+    s = object_shape(obj)
+    return Thing(grid=s.grid, error_m=s.error_m, low=s.low, high=s.high, X_BA=np.asarray(X_BO, float))
 
 
-def box_arrays(boxes: Sequence[BoxObstacle]) -> tuple[np.ndarray, np.ndarray]:
-    """X_BX (Nb, 4, 4) and half sizes (Nb, 3)."""
-    X = np.array([b.X_BX for b in boxes], float).reshape(-1, 4, 4)
-    return X, np.array([b.half for b in boxes], float).reshape(-1, 3)
+def cloud_thing(points_B: np.ndarray) -> Thing:
+    """Points (M, 3) of things nobody knows, M >= 1."""
+    grid, error = cloud_grid(points_B)
+    low, high = np.min(points_B, axis=0), np.max(points_B, axis=0)
+    return Thing(grid=grid, error_m=error, low=low, high=high, X_BA=np.eye(4))
+
+
+def grid_tables(things: Sequence[Thing]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of `CheckArrays.grids`, `.grid_info`, and all values, float32; those of a single thing are not copied."""
+    flat = [t.grid.values.reshape(-1) for t in things]
+    values = flat[0] if len(flat) == 1 else np.concatenate(flat) if flat else np.zeros(0, np.float32)
+    start = np.cumsum([0] + [len(f) for f in flat])[:-1]
+    info = [[a, *t.grid.values.shape] for a, t in zip(start, things, strict=True)]
+    rows = np.empty((len(things), GRID_COLUMNS))
+    for row, t in zip(rows, things, strict=True):
+        middle = (t.low + t.high) / 2
+        row[ORIGIN : ORIGIN + 3], row[INV_SPACING], row[ERROR] = t.grid.origin, t.grid.inv_spacing, t.error_m
+        row[LOW : LOW + 3], row[HIGH : HIGH + 3], row[FRAME : FRAME + 12] = t.low, t.high, t.X_BA[:3].reshape(-1)
+        row[MIDDLE : MIDDLE + 3] = t.X_BA[:3, :3] @ middle + t.X_BA[:3, 3]
+        row[RADIUS] = np.linalg.norm(t.high - middle)
+    return rows, np.array(info, np.int64).reshape(-1, 4), values
+
+
+def box_rows(boxes: Sequence[BoxObstacle]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of `CheckArrays.parts` and `.part_info`."""
+    rows, info = np.empty((len(boxes), 19)), np.zeros((len(boxes), 5), np.int64)
+    info[:, 0] = int(PartKind.BOX)
+    for row, b in zip(rows, boxes, strict=True):
+        X = np.asarray(b.X_BX, float)
+        row[:3], row[3], row[4:7], row[7:] = X[:3, 3], np.linalg.norm(b.half), b.half, X[:3].reshape(-1)
+    return rows, info

@@ -11,6 +11,7 @@ import math
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.hands.hand import PartKind
+from neuralgrasps.planning.collision_arrays import END_VERTEX, FIRST_VERTEX, KIND, SIZE
 
 _BOX, _SPHERE, _CAPSULE, _CYLINDER = (
     int(k) for k in (PartKind.BOX, PartKind.SPHERE, PartKind.CAPSULE, PartKind.CYLINDER)
@@ -20,80 +21,80 @@ _TINY = 1e-18  # m^2; nearer than a nanometre is touching
 _RELATIVE = 1e-9  # of |v|^2: no further progress
 
 
-@njit(cache=True, error_model="numpy")
-def support_point(kind, size, vertices, X, dx, dy, dz):  # type: ignore[no-untyped-def]
-    """Point of a part's core, posed by X (3 or 4, 4), that lies farthest along (dx, dy, dz).
-
-    kind: `PartKind`; size (3,) and vertices (V, 3), read for hulls only: as in `ConvexPart`.
-    """
-    lx = X[0, 0] * dx + X[1, 0] * dy + X[2, 0] * dz
-    ly = X[0, 1] * dx + X[1, 1] * dy + X[2, 1] * dz
-    lz = X[0, 2] * dx + X[1, 2] * dy + X[2, 2] * dz
+@njit(cache=True, inline="always", error_model="numpy")
+def _support(parts, part_info, vertices, poses, i, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Point of part i's core that lies farthest along (dx, dy, dz)."""
+    lx = poses[i, 0] * dx + poses[i, 4] * dy + poses[i, 8] * dz
+    ly = poses[i, 1] * dx + poses[i, 5] * dy + poses[i, 9] * dz
+    lz = poses[i, 2] * dx + poses[i, 6] * dy + poses[i, 10] * dz
     x, y, z = 0.0, 0.0, 0.0
+    kind = part_info[i, KIND]
     if kind == _BOX:
-        x, y, z = math.copysign(size[0], lx), math.copysign(size[1], ly), math.copysign(size[2], lz)
+        x = math.copysign(parts[i, SIZE], lx)
+        y = math.copysign(parts[i, SIZE + 1], ly)
+        z = math.copysign(parts[i, SIZE + 2], lz)
     elif kind == _CAPSULE:
-        z = math.copysign(size[1], lz)
+        z = math.copysign(parts[i, SIZE + 1], lz)
     elif kind == _CYLINDER:
         across = math.sqrt(lx * lx + ly * ly)
         if across > 0.0:
-            x, y = size[0] * lx / across, size[0] * ly / across
-        z = math.copysign(size[1], lz)
+            x, y = parts[i, SIZE] * lx / across, parts[i, SIZE] * ly / across
+        z = math.copysign(parts[i, SIZE + 1], lz)
     elif kind != _SPHERE:
         best = -math.inf
-        for i in range(vertices.shape[0]):
-            along = vertices[i, 0] * lx + vertices[i, 1] * ly + vertices[i, 2] * lz
+        for v in range(part_info[i, FIRST_VERTEX], part_info[i, END_VERTEX]):
+            along = vertices[v, 0] * lx + vertices[v, 1] * ly + vertices[v, 2] * lz
             if along > best:
-                best, x, y, z = along, vertices[i, 0], vertices[i, 1], vertices[i, 2]
+                best, x, y, z = along, vertices[v, 0], vertices[v, 1], vertices[v, 2]
     return (
-        X[0, 0] * x + X[0, 1] * y + X[0, 2] * z + X[0, 3],
-        X[1, 0] * x + X[1, 1] * y + X[1, 2] * z + X[1, 3],
-        X[2, 0] * x + X[2, 1] * y + X[2, 2] * z + X[2, 3],
+        poses[i, 0] * x + poses[i, 1] * y + poses[i, 2] * z + poses[i, 3],
+        poses[i, 4] * x + poses[i, 5] * y + poses[i, 6] * z + poses[i, 7],
+        poses[i, 8] * x + poses[i, 9] * y + poses[i, 10] * z + poses[i, 11],
     )
 
 
-@njit(cache=True, error_model="numpy")
-def core_radius(kind, size):  # type: ignore[no-untyped-def]
-    """Radius, metres, that a part has around its core."""
-    return size[0] if kind == _SPHERE or kind == _CAPSULE else 0.0
+@njit(cache=True, inline="always", error_model="numpy")
+def _core_radius(parts, part_info, i):  # type: ignore[no-untyped-def]
+    """Radius, metres, that part i has around its core."""
+    return parts[i, SIZE] if part_info[i, KIND] in (_SPHERE, _CAPSULE) else 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def convex_gap(kind_a, size_a, vertices_a, X_a, kind_b, size_b, vertices_b, X_b, start, need, simplex):  # type: ignore[no-untyped-def]
-    """Distance between two parts posed in one frame, as far as `need` asks for it.
+def convex_gap(parts, part_info, vertices, poses, a, b, need, simplex):  # type: ignore[no-untyped-def]
+    """Distance between parts a and b, as far as `need` asks for it.
 
     Args:
-        kind_*, size_* (3,), vertices_* (V, 3), X_* (3 or 4, 4): the parts, as for `support_point`.
-        start: (3,) direction to begin with, about from b to a; any is right.
+        parts (P, 7 or more), part_info (P, 5), vertices (V, 3): tables as in `CheckArrays`.
+        poses: (P, 12) upper three rows of each part's X, row by row, all in one frame.
         need: metres; the search ends as soon as the distance is proved to be at least this.
         simplex: (4, 3) work space.
     Returns:
         metres: a proved lower bound that is >= need; else the distance, < need, to a nanometre; 0 where they overlap.
     """
-    radius = core_radius(kind_a, size_a) + core_radius(kind_b, size_b)
+    radius = _core_radius(parts, part_info, a) + _core_radius(parts, part_info, b)
     want = need + radius
-    vx, vy, vz = start[0], start[1], start[2]
-    if vx * vx + vy * vy + vz * vz < _TINY:
-        vx = 1.0
-    count, inside = 0, False
-    for _ in range(_STEPS):
-        ax, ay, az = support_point(kind_a, size_a, vertices_a, X_a, -vx, -vy, -vz)
-        bx, by, bz = support_point(kind_b, size_b, vertices_b, X_b, vx, vy, vz)
+    vx, vy, vz = poses[a, 3] - poses[b, 3], poses[a, 7] - poses[b, 7], poses[a, 11] - poses[b, 11]
+    squared = vx * vx + vy * vy + vz * vz
+    if squared < _TINY:
+        vx, squared = 1.0, 1.0
+    count = 0
+    for step in range(_STEPS):
+        ax, ay, az = _support(parts, part_info, vertices, poses, a, -vx, -vy, -vz)
+        bx, by, bz = _support(parts, part_info, vertices, poses, b, vx, vy, vz)
         wx, wy, wz = ax - bx, ay - by, az - bz
-        squared = vx * vx + vy * vy + vz * vz
         along = vx * wx + vy * wy + vz * wz
         length = math.sqrt(squared)
         if along > 0.0 and along >= want * length:
             return along / length - radius
-        if inside and squared - along <= _RELATIVE * squared:
+        if step > 0 and squared - along <= _RELATIVE * squared:
             return max(along / length - radius, 0.0)
         for i in range(count):  # a corner twice: no progress is left in these numbers
             if simplex[i, 0] == wx and simplex[i, 1] == wy and simplex[i, 2] == wz:
                 return max(along / length - radius, 0.0)
         simplex[count, 0], simplex[count, 1], simplex[count, 2] = wx, wy, wz
         count, vx, vy, vz = _nearest_on_simplex(simplex, count + 1)
-        inside = True
-        if count == 4 or vx * vx + vy * vy + vz * vz < _TINY:
+        squared = vx * vx + vy * vy + vz * vz
+        if count == 4 or squared < _TINY:
             return 0.0
     return 0.0
 
