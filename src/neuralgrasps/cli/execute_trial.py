@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 TRIAL_FILE, FILM_FILE, LOOP_FILE, PLAN_FILE = "trial.json", "film.mp4", "loop.webp", "plan.yaml"
 PICTURES = ("seen", "standoff", "grasp", "lift")
 _RECORD_EVERY_S = 0.04
-_LOOP_FPS, _LOOP_SIZE, _LOOP_SPEED = 8, (320, 240), 3.0
+_LOOP_FPS, _LOOP_SIZE, _LOOP_SPEED = 8, (480, 360), 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -216,7 +216,8 @@ def _draw(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:
             save_picture(task.folder / "seen.png", seen)
         key = key_moments(trial)
         for name in PICTURES[1:]:
-            save_picture(task.folder / f"{name}.png", film.moment(key[name]))
+            draw = film.close_up if name == "grasp" else film.moment
+            save_picture(task.folder / f"{name}.png", draw(key[name]))
     if task.loop:
         config = FilmConfig(speed=_LOOP_SPEED, fps=_LOOP_FPS)
         frames = [film.moment(i) for i in film_indices(trial, config)]
