@@ -19,8 +19,9 @@ from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.planning import grasp_cache, table_grasps
 from neuralgrasps.planning.copies import moved_grasps, roll_twins, symmetric_copies
 from neuralgrasps.planning.resting_plane import nearest_resting_plane, representative, resting_planes, rounded_plane
-from neuralgrasps.planning.table_grasps import TableGraspConfig, TableGrasps, fits_aperture, grasps_on_table
+from neuralgrasps.planning.table_grasps import TableGraspConfig, TableGrasps, grasps_on_table
 from neuralgrasps.sim.validate import validate_grasps
+from neuralgrasps.synthesis.jaw import leaves_room
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 SMALL = SynthesisConfig(batch=200, draws=2, max_rounds=4, generations=1, children=3, also=("shake",))
@@ -78,7 +79,7 @@ def test_a_flat_box_gets_stored_grasps_that_clear_and_new_ones(fetch, box, store
     assert lowest_on_the_way_back(fetch, found.grasps, plane, CONFIG.retreat_m) >= CONFIG.clearance_m - 1e-9
     assert lowest_on_the_way_back(fetch, stored, plane, CONFIG.retreat_m) < 0.0
     assert set(found.grasps.verdicts) == {"dexgraspbench", "shake"} and found.grasps.validated.all()
-    assert fits_aperture(fetch, found.grasps).all()
+    assert leaves_room(fetch, found.grasps.q).all()
 
 
 def test_stored_grasps_that_clear_come_first_and_suffice(fetch, box, stored, monkeypatch):
@@ -140,10 +141,10 @@ def test_a_wide_grip_is_left_out(fetch, make_object):
     """97.6 mm fit the jaw of 100 mm, but 1.2 mm on either side are too little for an error of pose."""
     brick = make_object("brick", box_mesh([0.0488, 0.08, 0.08]))
     wide = synthesise(fetch, brick, config=replace(SMALL, count=6), seed=0).grasps
-    mask = fits_aperture(fetch, wide)
+    mask = leaves_room(fetch, wide.q)
     assert len(wide) and not mask.all()
     found = grasps_on_table(fetch, brick, Plane(UP, 0.08), stored=wide, want=1, config=CONFIG)
-    assert fits_aperture(fetch, found.grasps).all()
+    assert leaves_room(fetch, found.grasps.q).all()
 
 
 def test_twins_hold_as_well_and_swap_the_fingers(fetch, box, stored):

@@ -9,13 +9,12 @@ from neuralgrasps.geometry.sdf_grid import query_grid_gradient_numpy
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.synthesis.clusters import hand_clearance
+from neuralgrasps.synthesis.jaw import jaw_aperture, pad_middles
 from neuralgrasps.synthesis.oppose import opposition, pose_on_pair, thumb_and_fingers, tip_points
 from neuralgrasps.synthesis.propose import (
     START_GAP_M,
     draw_pairs,
     draw_preshapes,
-    jaw_aperture,
-    pad_middles,
     perpendicular,
     poses_from_palm,
     propose_approach,
@@ -152,7 +151,7 @@ def test_opposed_tips_are_as_far_apart_as_the_width_and_lie_on_the_pair(hands, p
     share = np.zeros((60, len(fingers)))
     share[:, 1] = 1.0
     width = _rng(1).uniform(0.01, 0.07, 60)
-    thumb_H, finger_H, met = opposition(hand, problem.packed, q, share, width)
+    thumb_H, finger_H, met, _ = opposition(hand, problem.packed, q, share, width)
     assert met.sum() > 20
     gap = np.linalg.norm(finger_H - thumb_H, axis=1)[met] - 0.016
     np.testing.assert_allclose(gap, width[met], atol=2e-3)  # between two postures of the path

@@ -15,8 +15,8 @@ from neuralgrasps.hands.parts import part_mesh
 from neuralgrasps.hands.surface import sample_hand_surface
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.synthesis.feasibility import grip_widths, lying_text
-from neuralgrasps.synthesis.propose import jaw_aperture, jaw_postures, jaw_widths
-from neuralgrasps.synthesis.support import WIDTH_SHARE, Support
+from neuralgrasps.synthesis.jaw import WIDTH_SHARE, jaw_aperture, jaw_postures, jaw_widths, leaves_room
+from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 SMALL = SynthesisConfig(count=8, batch=200, draws=2, max_rounds=4, spare=1.0, generations=1, children=3)
@@ -112,13 +112,14 @@ def test_a_low_flat_box_is_taken_from_above_by_its_upper_edge(hands, make_object
 
 
 def test_jaws_beside_a_table_leave_room_for_an_error_of_pose(hands, make_object):
-    """96.9 and 98.5 mm: only the first is within 97 % of the aperture of 100 mm."""
+    """96 and 98 mm: only the first is within 97 % of the aperture of 100 mm."""
     hand = hands["fetch"]
-    near = make_object("near", box_mesh([0.0484, 0.10, 0.03]))
+    near = make_object("near", box_mesh([0.0480, 0.10, 0.03]))
     wide = make_object("wide", box_mesh([0.0490, 0.10, 0.03]))
     support = Support(plane=table_under(0.03))
     found = synthesise(hand, near, config=SMALL, seed=0, support=support).grasps
-    assert len(found) and (jaw_widths(hand, found.q) <= WIDTH_SHARE * jaw_aperture(hand) + 5e-4).all()
+    assert len(found) and leaves_room(hand, found.q).all()
+    assert WIDTH_SHARE * jaw_aperture(hand) > jaw_widths(hand, found.q).max() > 0.0955
     none = synthesise(hand, wide, config=SMALL, seed=0, support=support)
     assert len(none.grasps) == 0
     assert none.reason == "too wide: lying on its 98 x 200 mm face: narrowest width across the table 98 mm, " \

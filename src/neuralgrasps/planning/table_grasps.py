@@ -15,9 +15,8 @@ from neuralgrasps.planning.copies import moved_grasps, roll_twins, symmetric_cop
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
 from neuralgrasps.planning.resting_plane import nearest_resting_plane, representative, rounded_plane
 from neuralgrasps.sim.validate import validate_grasps, verdict_parameters
-from neuralgrasps.synthesis.propose import jaw_aperture, jaw_widths
 from neuralgrasps.synthesis.select import diverse_order
-from neuralgrasps.synthesis.support import WIDTH_SHARE, Support
+from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 _FEW = 0.25  # of what is wanted: fewer than this left of the kept ones, and they are made for this very plane
@@ -109,16 +108,8 @@ def grasps_on_table(
     return TableGrasps(grasps=grasps, from_stored=len(kept), made=len(made), reason=reason if short else "")
 
 
-def fits_aperture(hand: Hand, grasps: GraspSet) -> np.ndarray:
-    """(N,) bool: a jaw closes on at most 97 % of its aperture; always so for other hands."""
-    if not hand.is_jaw or len(grasps) == 0:
-        return np.ones(len(grasps), bool)
-    return jaw_widths(hand, grasps.q) <= WIDTH_SHARE * jaw_aperture(hand)
-
-
 def _usable(hand: Hand, grasps: GraspSet, support: Support) -> GraspSet:
-    clear = support.clears(hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)
-    return grasps[clear & fits_aperture(hand, grasps)]
+    return grasps[support.allows(hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)]
 
 
 def _exact_symmetry(obj: ObjectModel, config: TableGraspConfig) -> bool:

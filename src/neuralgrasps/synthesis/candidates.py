@@ -222,7 +222,7 @@ def _judge(problem: GraspProblem, X_OH: np.ndarray, q: np.ndarray, *, by_forces:
         run(problem.arrays, q_start, X_OH, closed, score, depth, outcome)
     if problem.support is not None:
         valid = np.flatnonzero(outcome == VALID)
-        low = valid[~problem.support.clears_closed(problem.hand, X_OH[valid], closed[valid])]
+        low = valid[~problem.support.allows(problem.hand, X_OH[valid], closed[valid])]
         outcome[low], score[low] = MEETS_SUPPORT, np.inf if by_forces else 0.0
     zero = np.zeros(len(q_start))
     found = Candidates(X_OH=X_OH, q=closed, q_start=q_start, epsilon=zero, penetration_m=depth, outcome=outcome)

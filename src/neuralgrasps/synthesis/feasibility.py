@@ -14,9 +14,10 @@ from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.seeds import child_rng
 from neuralgrasps.synthesis.candidates import GraspProblem
+from neuralgrasps.synthesis.jaw import WIDTH_SHARE, jaw_aperture
 from neuralgrasps.synthesis.oppose import perpendicular, tip_points
-from neuralgrasps.synthesis.propose import TIP_M, draw_pairs, draw_preshapes, jaw_aperture
-from neuralgrasps.synthesis.support import WIDTH_SHARE, Support
+from neuralgrasps.synthesis.propose import TIP_M, draw_pairs, draw_preshapes
+from neuralgrasps.synthesis.support import Support
 
 TOO_WIDE, TOO_SMALL, TOO_THIN = "too wide", "too small", "too thin"
 NO_OPPOSITE_SIDES, NO_ROOM = "no opposite sides", "no room"

@@ -28,20 +28,21 @@ def tip_points(packed: PackedHand, finger: Finger) -> tuple[int, np.ndarray]:
 
 def opposition(
     hand: Hand, packed: PackedHand, q: np.ndarray, share: np.ndarray, width: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Where the tips of freely closing hands are when `width` fits between the thumb and the fingers.
 
     Args:
         q: (N, J) preshapes. share: (N, F) weights of the fingers that the thumb is to oppose, rows sum to 1.
         width: (N,) metres.
     Returns:
-        thumb (N, 3) and finger (N, 3) points in H, and whether (N,) the tips come that near.
+        thumb (N, 3) and finger (N, 3) points in H, whether (N,) the tips come that near, and the joints (N, J) then.
     """
     found = thumb_and_fingers(hand)
     assert found is not None
     thumb, fingers = found
     path = np.linspace(0.0, 1.0, _STEPS)[:, None] * _time_to_close(hand, q)[:, None, None] * hand.closing_rate
-    X_HL = forward_fast(hand.tree, np.clip(q[:, None] + path, hand.tree.lower, hand.tree.upper))
+    closing = np.clip(q[:, None] + path, hand.tree.lower, hand.tree.upper)
+    X_HL = forward_fast(hand.tree, closing)
 
     def tip(finger: Finger) -> np.ndarray:
         link, middle = tip_points(packed, finger)
@@ -61,7 +62,7 @@ def opposition(
     def between(points: np.ndarray) -> np.ndarray:
         return points[rows, step - 1] * (1.0 - t) + points[rows, step] * t
 
-    return between(thumb_H), between(fingers_H), met
+    return between(thumb_H), between(fingers_H), met, between(closing)
 
 
 def _time_to_close(hand: Hand, q: np.ndarray) -> np.ndarray:

@@ -19,9 +19,10 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import blocks, thread_map
 from neuralgrasps.synthesis.assess import advance_all
 from neuralgrasps.synthesis.candidates import GraspProblem
+from neuralgrasps.synthesis.jaw import jaw_aperture, jaw_postures, pad_middles, widest_grip
 from neuralgrasps.synthesis.oppose import opposition, perpendicular, pose_on_pair, thumb_and_fingers
 from neuralgrasps.synthesis.squeeze import pregrasp_joints
-from neuralgrasps.synthesis.support import WIDTH_SHARE, Support
+from neuralgrasps.synthesis.support import Support
 
 START_GAP_M = 1.0e-3  # an open hand advances until it is this near
 BACK_OFF_M = 0.012
@@ -29,8 +30,9 @@ MAX_SPAN_M = 0.15  # wider pairs are not looked for
 OPPOSED_SHARE = 0.7
 DRAWS = 4  # pairs drawn per proposal: many are too wide, and drawing costs a hundredth of closing
 TIP_M = 0.004  # of the pads' length at their tips that nothing is planned to be held with
+LIFT_M = 0.015  # that a hand may be drawn back, so that its fingertips do not meet the support
+MORE_PAIRS = 4  # times as many are drawn beside a support, where most do not fit
 STEEPEST_UP = 0.2  # sine of the slope at which a hand may come from below level, beside a support
-_CLOSURES = 33  # at which a jaw's pads are looked at; odd, so that one is half way
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,66 +88,6 @@ def _antipodal_pairs(values, origin, inv_spacing, points, directions, max_width,
         keep[i] = found and along >= cos_cone
 
 
-def _closed(hand: Hand) -> np.ndarray:
-    """(J,) the open posture with every closing joint at its limit."""
-    end = np.where(hand.closing_rate > 0, hand.tree.upper, hand.tree.lower)
-    return np.where(hand.closing_rate != 0, end, hand.q_open)
-
-
-def jaw_aperture(hand: Hand) -> float:
-    """Largest object width, metres, that fits between the open pads of a parallel jaw whose closed pads meet."""
-    opened_H, closed_H = forward_fast(hand.tree, np.stack([hand.q_open, _closed(hand)]))
-    advance = (closed_H - opened_H)[:, :3, 3] @ hand.X_HP[:3, 0]
-    return float(advance.max() - advance.min())
-
-
-def _closures(hand: Hand) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """A jaw on its way to: joints (S, J), how far its pads are apart (S,), and the middle between them (S, 3) in H.
-
-    `hand.jaw_pad_H` is the middle half closed; the two fingertips' points there are followed. None without two tips.
-    """
-    tips = [finger.links[-1] for finger in hand.fingers if finger.links]
-    if len(tips) != 2:
-        return None
-    share = np.linspace(0.0, 1.0, _CLOSURES)
-    q = hand.q_open + share[:, None] * (_closed(hand) - hand.q_open)
-    X_HL = forward_fast(hand.tree, q)[:, tips]
-    half = X_HL[_CLOSURES // 2]
-    pad_L = np.einsum("tji,tj->ti", half[:, :3, :3], hand.jaw_pad_H - half[:, :3, 3])
-    points = np.einsum("stij,tj->sti", X_HL[..., :3, :3], pad_L) + X_HL[..., :3, 3]
-    apart = np.abs((points[:, 1] - points[:, 0] - (points[-1, 1] - points[-1, 0])) @ hand.X_HP[:3, 0])
-    return q, apart, points.mean(axis=1)
-
-
-def pad_middles(hand: Hand, widths: np.ndarray) -> np.ndarray:
-    """(N, 3) middle between a jaw's pads, in H, when they are `widths` (N,) metres apart.
-
-    Pads that a linkage swings move along the approach while they close. For pads that slide it is the same for all.
-    """
-    found = _closures(hand)
-    if found is None:
-        return np.repeat(hand.jaw_pad_H[None], len(widths), axis=0)
-    _, apart, middle = found
-    return np.stack([np.interp(widths, apart[::-1], column[::-1]) for column in middle.T], axis=1)
-
-
-def jaw_postures(hand: Hand, widths: np.ndarray) -> np.ndarray:
-    """(N, J) joints of a parallel jaw whose pads are `widths` (N,) metres apart."""
-    found = _closures(hand)
-    if found is None:
-        share = 1.0 - np.clip(widths / jaw_aperture(hand), 0.0, 1.0)
-        return hand.q_open + share[:, None] * (_closed(hand) - hand.q_open)
-    q, apart, _ = found
-    return np.stack([np.interp(widths, apart[::-1], column[::-1]) for column in q.T], axis=1)
-
-
-def jaw_widths(hand: Hand, q: np.ndarray) -> np.ndarray:
-    """(N,) distance between the pads of a parallel jaw at joints q (N, J), metres."""
-    X_HL = forward_fast(hand.tree, np.concatenate([_closed(hand)[None], q]))
-    apart = (X_HL[1:] - X_HL[:1])[:, :, :3, 3] @ hand.X_HP[:3, 0]
-    return apart.max(axis=1) - apart.min(axis=1)
-
-
 def draw_pairs(
     obj: ObjectModel, count: int, friction: float, max_width: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -185,8 +127,7 @@ def propose_jaw(
     Beside a `support`, `DRAWS` times as many are drawn, hands come level or from above, as deep as it lets them
     (`deepest_beside`), and those that meet it are dropped.
     """
-    aperture = jaw_aperture(hand)
-    widest = aperture - 2.0e-3 if support is None else min(aperture - 2.0e-3, WIDTH_SHARE * aperture)
+    widest = jaw_aperture(hand) - 2.0e-3 if support is None else widest_grip(hand)
     draws = count if support is None else DRAWS * count
     start, exits, keep = draw_pairs(obj, draws, friction, widest, rng)
     roll = rng.random(draws) * 2 * np.pi
@@ -311,6 +252,21 @@ def propose_approach(problem: GraspProblem, *, count: int, rng: np.random.Genera
     return _chosen(problem, X_OH, q, travel > 0.0)
 
 
+def lifted_off(hand: Hand, support: Support, X_OH: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Hands (N, 4, 4) drawn back along their approach until they clear the support at joints q (N, J).
+
+    By up to `LIFT_M`, so that fingertips hold higher up, what they were to hold in the middle; and which (N,) then do.
+    """
+    steep = support.steepness(hand, X_OH)
+    short = np.maximum(support.clearance_m - lowest_height(hand, X_OH, q, support.plane), 0.0)
+    lift = np.where(short > 0.0, np.inf, 0.0)
+    np.divide(short, steep, out=lift, where=(short > 0.0) & (steep > 0.0))
+    fits = (lift <= LIFT_M) & (steep > -STEEPEST_UP)
+    X_OH = X_OH.copy()
+    X_OH[:, :3, 3] -= np.where(fits, lift, 0.0)[:, None] * (X_OH[:, :3, :3] @ hand.X_HP[:3, 2])
+    return X_OH, fits
+
+
 def propose_opposed(
     problem: GraspProblem, *, count: int, friction: float, rng: np.random.Generator, threads: int = 1
 ) -> Proposals:
@@ -322,7 +278,7 @@ def propose_opposed(
     hand = problem.hand
     found = thumb_and_fingers(hand)
     assert found is not None
-    more = 1 if problem.support is None else 2
+    more = 1 if problem.support is None else MORE_PAIRS
     draws = more * DRAWS * count
     start, exits, keep = draw_pairs(problem.obj, draws, friction, MAX_SPAN_M, rng)
     roll = rng.random(draws) * 2 * np.pi
@@ -331,12 +287,13 @@ def propose_opposed(
     q = draw_preshapes(hand, draws, rng)
     kept = np.flatnonzero(keep)[: 2 * more * count]
     start, exits, roll, back, share, q = (a[kept] for a in (start, exits, roll, back, share, q))
-    thumb_H, fingers_H, met = opposition(hand, problem.packed, q, share, np.linalg.norm(exits - start, axis=1))
+    thumb_H, fingers_H, met, q_met = opposition(hand, problem.packed, q, share, np.linalg.norm(exits - start, axis=1))
     X_OH = pose_on_pair(thumb_H, fingers_H, start, exits, roll)
     if problem.support is not None:
         from_below = problem.support.steepness(hand, X_OH) < 0.0
         X_OH = pose_on_pair(thumb_H, fingers_H, start, exits, roll + np.pi * from_below)
-        met &= problem.support.steepness(hand, X_OH) > -STEEPEST_UP
+        X_OH, fits = lifted_off(hand, problem.support, X_OH, q_met)
+        met &= fits
     chosen = np.flatnonzero(met)[:count]
     X_OH, q, back = X_OH[chosen], q[chosen], back[chosen]
     approach = X_OH[:, :3, :3] @ hand.X_HP[:3, 2]

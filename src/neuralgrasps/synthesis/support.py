@@ -12,9 +12,8 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.hands.chains import moved_links
 from neuralgrasps.hands.extent import lowest_height
 from neuralgrasps.hands.hand import Hand
+from neuralgrasps.synthesis.jaw import leaves_room
 from neuralgrasps.synthesis.squeeze import pregrasp_joints
-
-WIDTH_SHARE = 0.97  # of a jaw's aperture: in a wider grip an error of pose of 2 mm already meets a finger
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,9 +66,14 @@ class Support:
         moving = moved_links(hand.tree)[:, hand.closing_rate != 0].any(axis=1)
         return self.least_height(hand, X_OH, q, links=np.flatnonzero(~moving)) >= self.clearance_m
 
-    def clears_closed(self, hand: Hand, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """`clears` of closed hands, and of the same a little more open, as before a grasp."""
-        return self.clears(hand, X_OH, q, pregrasp_joints(hand, q))
+    def allows(self, hand: Hand, X_OH: np.ndarray, q: np.ndarray, q_pregrasp: np.ndarray | None = None) -> np.ndarray:
+        """(N,) bool: hands clear the plane, closed and before closing, and jaws can be put over the object.
+
+        Args:
+            q: (N, J) closed; q_pregrasp: (N, J) before; default a little more open.
+        """
+        before = pregrasp_joints(hand, q) if q_pregrasp is None else q_pregrasp
+        return self.clears(hand, X_OH, q, before) & leaves_room(hand, q)
 
     def __str__(self) -> str:
         """For provenance."""

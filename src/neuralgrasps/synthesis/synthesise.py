@@ -282,7 +282,7 @@ def _prove(
                 problem, refined.take(rows), protocol=config.protocol, seed=seed, config=provenance, threads=threads
             )
             if problem.support is not None:
-                grasps = grasps[problem.support.clears(problem.hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)]
+                grasps = grasps[problem.support.allows(problem.hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)]
             chosen = quotas.of_kind(grasps, kind)
             quotas.other_kind += int((~chosen).sum())
             grasps = grasps[chosen]
