@@ -13,10 +13,11 @@ from neuralgrasps.apply.sight import Sighting, TableView, locate, view_table
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.planning.cloud_field import unexplained_cloud
 from neuralgrasps.planning.collision import CollisionChecker
 from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
@@ -25,6 +26,7 @@ from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import PlacedObject, PlanningWorld
 from neuralgrasps.sim.grip import grip_target
 
+_OWN_M = 0.012  # points so near to an object that was recognised are its own
 PoseEstimator = Callable[[ObjectModel, TableView, Sighting], np.ndarray]
 """Another estimate of X_BO in place of ours: (object, view, our sighting) -> X_BO (4, 4)."""
 PoseRefiner = Callable[[ObjectModel, TableView, Sighting, np.ndarray], np.ndarray]
@@ -109,13 +111,13 @@ def propose_pick(
         return _nothing(frame, view, sighting, sighting.reason, time.thread_time() - cpu)
     X_BO = sighting.X_BO if estimator is None else estimator(obj, view, sighting)
     looked = time.thread_time() - cpu
-    world = _world(robot.manipulator, q, obj, X_BO, view, sighting)
+    world = _world(obj, X_BO, view, sighting)
     result, reason, made = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
     if refiner is not None and result is not None and result.plan is not None:
         cpu = time.thread_time()
         X_BO = refiner(obj, view, sighting, result.plan.X_BH)
         looked += time.thread_time() - cpu
-        world = _world(robot.manipulator, q, obj, X_BO, view, sighting)
+        world = _world(obj, X_BO, view, sighting)
         result, reason, again = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
         made += again
     return PickProposal(
@@ -155,17 +157,14 @@ def plan_in(
     return None if result is None else replace(result, cpu_s=planned), reason, made
 
 
-def _world(
-    manipulator: Manipulator, q: np.ndarray, obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting
-) -> PlanningWorld:
-    world = PlanningWorld(
-        boxes=(view.box,), target=PlacedObject(obj=obj, X_BO=X_BO), objects=sighting.others,
-        cloud_B=np.zeros((0, 3)),
-    )  # fmt: skip
-    if sighting.unknown_B is None or not len(sighting.unknown_B):
-        return world
-    cloud = unexplained_cloud(sighting.unknown_B, manipulator, world, q)
-    return PlanningWorld(boxes=world.boxes, target=world.target, objects=world.objects, cloud_B=cloud)
+def _world(obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting) -> PlanningWorld:
+    """The table, the target, what else was recognised, and the points that none of these explain."""
+    placed = (PlacedObject(obj=obj, X_BO=X_BO), *sighting.others)
+    unknown_B = sighting.unknown_B
+    for thing in placed:
+        near = query_grid_numpy(thing.obj.sdf, transform_points_np(inverse_np(thing.X_BO), unknown_B)) < _OWN_M
+        unknown_B = unknown_B[~near]
+    return PlanningWorld(boxes=(view.box,), target=placed[0], objects=placed[1:], cloud_B=unknown_B)
 
 
 def _nothing(

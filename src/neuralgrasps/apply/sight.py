@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import ndimage
@@ -62,7 +62,7 @@ class Sighting:
     pose: PoseResult | None = None
     mask: np.ndarray | None = None
     others: tuple[PlacedObject, ...] = ()
-    unknown_B: np.ndarray | None = None
+    unknown_B: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def view_table(frame: Frame, manipulator: Manipulator, q: np.ndarray, *, seed: int = 0) -> TableView:
