@@ -1,4 +1,7 @@
-"""Draw the README's picture from a finished demo: python docs/make_pictures.py out docs/images."""
+"""Draw the README's picture from a finished demo: python docs/make_pictures.py out docs/images.
+
+Also the previews of the built-in arms: python docs/make_pictures.py arms src/neuralgrasps/assets/arms.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +12,12 @@ import numpy as np
 from PIL import Image
 
 from neuralgrasps import load_hand, load_object
+from neuralgrasps.arms.mount import mount
+from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.grasps.grasp_io import load_grasps
+from neuralgrasps.report.arm_figure import render_arm
 from neuralgrasps.report.figures import render_grasp
+from neuralgrasps.report.views import view_direction
 
 HANDS = ("human", "allegro", "barrett", "panda", "fetch")
 CHOICES = {"mustard_bottle": (2, 0, 0, 2, 0), "tomato_soup_can": (0, 1, 0, 0, 0), "cracker_box": (2, 0, 0, 1, 0)}
@@ -27,12 +34,29 @@ def hero(demo: Path) -> Image.Image:
             grasp = load_grasps(demo / "grasps" / name / f"{hand_name}.safetensors")[pick]
             row.append(render_grasp(load_hand(hand_name), obj, grasp.X_OH[0], grasp.q[0], size=SIZE))
         rows.append(np.concatenate(row, axis=1))
-    picture = Image.fromarray(np.concatenate(rows, axis=0))
-    page = Image.new("RGBA", picture.size, "#fafaf7")
-    page.alpha_composite(picture)
+    return on_paper(np.concatenate(rows, axis=0))
+
+
+def arm_preview(arm_name: str, hands: tuple[str, str]) -> Image.Image:
+    """An arm at home with one hand and with another, side by side."""
+    views = (view_direction(-50, 16), view_direction(-28, 16))
+    robots = [mount(load_arm(arm_name), load_hand(hand)) for hand in hands]
+    row = [render_arm(robot, view=view, size=(300, 300)) for robot, view in zip(robots, views, strict=True)]
+    return on_paper(np.concatenate(row, axis=1))
+
+
+def on_paper(picture: np.ndarray) -> Image.Image:
+    """The picture (height, width, 4) uint8 RGBA on the paper of the pages."""
+    image = Image.fromarray(picture)
+    page = Image.new("RGBA", image.size, "#fafaf7")
+    page.alpha_composite(image)
     return page.convert("RGB")
 
 
 if __name__ == "__main__":
     source, target = Path(sys.argv[1]), Path(sys.argv[2])
+    if source.name == "arms":
+        for name, hands in (("fetch", ("fetch", "allegro")), ("panda", ("panda", "allegro"))):
+            arm_preview(name, hands).save(target / name / "preview.png", optimize=True)
+        sys.exit()
     hero(source).save(target / "hero.webp", quality=88, method=6)
