@@ -57,14 +57,15 @@ def words_picture(words: Words, size: tuple[int, int]) -> np.ndarray:
     sheet = Image.new("RGB", (width, height), _PAPER)
     draw = ImageDraw.Draw(sheet)
     left, row = 12 * _FINE, 8 * _FINE
-    draw.text((left, row), words.title, font=_fitting(words.title, 15 * _FINE, width - 2 * left), fill=_INK)
+    room = width - 2 * left
+    _put(draw, (left, row), words.title, size=15 * _FINE, width=room, fill=_INK)
     row += 21 * _FINE
     for line in words.lines:
-        draw.text((left, row), line, font=_fitting(line, 11 * _FINE, width - 2 * left), fill=_GREY)
+        _put(draw, (left, row), line, size=11 * _FINE, width=room, fill=_GREY)
         row += 15 * _FINE
     bottom = height - 12 * _FINE
     if words.steps:
-        _draw_steps(draw, words, left, bottom, width - 2 * left)
+        _draw_steps(draw, words, left, bottom, room)
         bottom -= 14 * _FINE
     if words.step:
         draw.text((left, bottom), words.step, font=label_font(13 * _FINE), fill=_ACCENT, anchor="ls")
@@ -73,9 +74,9 @@ def words_picture(words: Words, size: tuple[int, int]) -> np.ndarray:
     if words.verdict:
         bottom -= 22 * _FINE
         colour = GOOD if words.good else BAD
-        font = _fitting(words.verdict, 14 * _FINE, width - 2 * left - 16 * _FINE)
         draw.ellipse((left, bottom - 10 * _FINE, left + 10 * _FINE, bottom), fill=colour)
-        draw.text((left + 16 * _FINE, bottom), words.verdict, font=font, fill=colour, anchor="ls")
+        at, inner = (left + 16 * _FINE, bottom), room - 16 * _FINE
+        _put(draw, at, words.verdict, size=14 * _FINE, width=inner, fill=colour, anchor="ls")
     return np.asarray(sheet.resize(size, Image.Resampling.BOX))
 
 
@@ -86,10 +87,10 @@ def title_card(picture: np.ndarray, words: Words) -> np.ndarray:
     draw = ImageDraw.Draw(card)
     height, width = picture.shape[:2]
     left, row = round(0.08 * width), round(0.40 * height)
-    draw.text((left, row), words.title, font=_fitting(words.title, height // 11, width - 2 * left), fill=_INK)
+    _put(draw, (left, row), words.title, size=height // 11, width=width - 2 * left, fill=_INK)
     row += height // 8
     for line in words.lines:
-        draw.text((left, row), line, font=_fitting(line, height // 24, width - 2 * left), fill="#5a6069")
+        _put(draw, (left, row), line, size=height // 24, width=width - 2 * left, fill="#5a6069")
         row += height // 17
     return np.asarray(card)
 
@@ -105,11 +106,19 @@ def _draw_steps(draw: ImageDraw.ImageDraw, words: Words, left: int, bottom: int,
         draw.rounded_rectangle((x, bottom - 4 * _FINE, x + piece, bottom), radius=2 * _FINE, fill=colour)
 
 
-def _fitting(text: str, size: int, width: int):  # type: ignore[no-untyped-def]
-    """The font of that size, or smaller so that the text fits."""
-    while size > 8 and label_font(size).getlength(text) > width:
+def _put(
+    draw: ImageDraw.ImageDraw, at: tuple[int, int], text: str, *, size: int, width: int, fill: str, anchor: str = "la"
+) -> None:
+    """Write a line no wider than `width`: smaller where it must be, and cut short where that is not enough."""
+    least = round(0.72 * size)
+    while size > least and label_font(size).getlength(text) > width:
         size -= 1
-    return label_font(size)
+    font = label_font(size)
+    if font.getlength(text) > width:
+        while text and font.getlength(text + "...") > width:
+            text = text[:-1]
+        text = text.rstrip() + "..."
+    draw.text(at, text, font=font, fill=fill, anchor=anchor)
 
 
 def _rgb(colour: str) -> np.ndarray:
