@@ -34,7 +34,7 @@ from neuralgrasps.planning.collision_arrays import (
     SIZE,
     TARGET,
 )
-from neuralgrasps.planning.convex_kernels import convex_gap
+from neuralgrasps.planning.convex_kernels import convex_gap, point_gap
 from neuralgrasps.planning.grid_kernels import grid_lower_bound
 
 
@@ -150,7 +150,7 @@ def pose_robot(check, q_arm, work):  # type: ignore[no-untyped-def]
     work.made[check.num_parts] += 1
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _moved(X, k, x, y, z):  # type: ignore[no-untyped-def]
     """X[k] @ (x, y, z) for poses X (K, 4, 4)."""
     return (
@@ -160,7 +160,7 @@ def _moved(X, k, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _into_frame(table, i, c, x, y, z):  # type: ignore[no-untyped-def]
     """(x, y, z) in the frame whose pose is in row i of a table, from column c on."""
     dx, dy, dz = x - table[i, c + 3], y - table[i, c + 7], z - table[i, c + 11]
@@ -196,9 +196,9 @@ def pose_part(parts, part, X_BK, k, poses, made):  # type: ignore[no-untyped-def
 
 
 @njit(cache=True, error_model="numpy")
-def _clears_boxes(
+def _clears_boxes(  # type: ignore[no-untyped-def]
     links, link_info, parts, part_info, vertices, num_parts, margins, X_BK, centres, poses, made, simplex
-):  # type: ignore[no-untyped-def]
+):
     """Whether all links keep their margins to all boxes. The hand first: it is what touches most."""
     for g in range(links.shape[0] - 1, -1, -1):
         if link_info[g, MEETS_WORLD] == 0:
@@ -233,9 +233,9 @@ def link_box_gap(link_info, parts, part_info, vertices, g, b, need, any_will_do,
 
 
 @njit(cache=True, error_model="numpy")
-def _clears_itself(
+def _clears_itself(  # type: ignore[no-untyped-def]
     pairs, pair_margins, links, link_info, parts, part_info, vertices, X_BK, centres, poses, made, simplex
-):  # type: ignore[no-untyped-def]
+):
     """Whether all pairs of links keep their margins."""
     for p in range(pairs.shape[0]):
         g, h = pairs[p, 0], pairs[p, 1]
@@ -265,9 +265,13 @@ def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, ce
         for b in range(link_info[h, FIRST_PART], link_info[h, END_PART]):
             bx, by, bz = _moved(X_BK, j, parts[b, 0], parts[b, 1], parts[b, 2])
             reach = parts[a, 3] + parts[b, 3] + best
-            if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 < reach * reach:
-                pose_part(parts, a, X_BK, i, poses, made)
-                pose_part(parts, b, X_BK, j, poses, made)
+            if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 >= reach * reach:
+                continue
+            pose_part(parts, a, X_BK, i, poses, made)
+            if point_gap(parts, part_info, poses, a, bx, by, bz) >= parts[b, 3] + best:
+                continue
+            pose_part(parts, b, X_BK, j, poses, made)
+            if point_gap(parts, part_info, poses, b, ax, ay, az) < parts[a, 3] + best:
                 best = min(best, convex_gap(parts, part_info, vertices, poses, a, b, best, simplex))
                 if best <= 0.0:
                     return 0.0
@@ -275,10 +279,10 @@ def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, ce
 
 
 @njit(cache=True, error_model="numpy")
-def _clears_grids(
+def _clears_grids(  # type: ignore[no-untyped-def]
     links, link_info, part_info, nodes, node_info, points, grids, grid_info, values, kinds, kind, margins, exact_hand,
     X_BK, centres,
-):  # type: ignore[no-untyped-def]  # fmt: skip
+):  # fmt: skip
     """Whether all links keep their margins to all things of one kind."""
     for g in range(links.shape[0] - 1, -1, -1):
         if link_info[g, MEETS_WORLD] == 0:
@@ -300,9 +304,9 @@ def _clears_grids(
 
 
 @njit(cache=True, error_model="numpy")
-def link_grid_gap(
+def link_grid_gap(  # type: ignore[no-untyped-def]
     link_info, part_info, nodes, node_info, points, grids, grid_info, values, g, a, frames, column, need, exact, X_BK
-):  # type: ignore[no-untyped-def]
+):
     """A distance of link g and thing a that is < need where the spheres (exact: the points) are nearer.
 
     It is then the first found, not the least; else it is `need`. The thing's frame in B is in row a of `frames`, from
@@ -358,9 +362,10 @@ def _carried_is_clear(check, work):  # type: ignore[no-untyped-def]
             limit = limits[boxes + a]
             reach = grids[held, RADIUS] + grids[a, RADIUS] + max(limit, 0.0)
             dx, dy, dz = x - grids[a, MIDDLE], y - grids[a, MIDDLE + 1], z - grids[a, MIDDLE + 2]
-            if dx * dx + dy * dy + dz * dz < reach * reach:
-                if points_grid_gap(check, values_of(check, kind), points, X, a, limit) < limit:
-                    return False
+            if dx * dx + dy * dy + dz * dz >= reach * reach:
+                continue
+            if points_grid_gap(check, values_of(check, kind), points, X, a, limit) < limit:
+                return False
     return _arm_clears_carried(check, work, x, y, z)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 
 from neuralgrasps.compiled import njit
+from neuralgrasps.geometry.shape_kernels import box_sdf, capsule_sdf, cylinder_sdf
 from neuralgrasps.hands.hand import PartKind
 from neuralgrasps.planning.collision_arrays import END_VERTEX, FIRST_VERTEX, KIND, SIZE
 
@@ -21,7 +22,7 @@ _TINY = 1e-18  # m^2; nearer than a nanometre is touching
 _RELATIVE = 1e-9  # of |v|^2: no further progress
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _support(parts, part_info, vertices, poses, i, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Point of part i's core that lies farthest along (dx, dy, dz)."""
     lx = poses[i, 0] * dx + poses[i, 4] * dy + poses[i, 8] * dz
@@ -53,10 +54,28 @@ def _support(parts, part_info, vertices, poses, i, dx, dy, dz):  # type: ignore[
     )
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _core_radius(parts, part_info, i):  # type: ignore[no-untyped-def]
     """Radius, metres, that part i has around its core."""
     return parts[i, SIZE] if part_info[i, KIND] in (_SPHERE, _CAPSULE) else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def point_gap(parts, part_info, poses, i, x, y, z):  # type: ignore[no-untyped-def]
+    """Signed distance, metres, from (x, y, z) to part i; minus infinity, which says nothing, to spheres and hulls."""
+    dx, dy, dz = x - poses[i, 3], y - poses[i, 7], z - poses[i, 11]
+    u = poses[i, 0] * dx + poses[i, 4] * dy + poses[i, 8] * dz
+    v = poses[i, 1] * dx + poses[i, 5] * dy + poses[i, 9] * dz
+    w = poses[i, 2] * dx + poses[i, 6] * dy + poses[i, 10] * dz
+    kind = part_info[i, KIND]
+    gap = -math.inf
+    if kind == _BOX:
+        gap = box_sdf(u, v, w, parts[i, SIZE], parts[i, SIZE + 1], parts[i, SIZE + 2])
+    elif kind == _CYLINDER:
+        gap = cylinder_sdf(u, v, w, parts[i, SIZE], parts[i, SIZE + 1])
+    elif kind == _CAPSULE:
+        gap = capsule_sdf(u, v, w, parts[i, SIZE], parts[i, SIZE + 1])
+    return gap
 
 
 @njit(cache=True, error_model="numpy")
@@ -193,7 +212,7 @@ def _nearest_on_tetrahedron(s):  # type: ignore[no-untyped-def]
     return kept, x, y, z
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _row(s, i):  # type: ignore[no-untyped-def]
     return s[i, 0], s[i, 1], s[i, 2]
 
