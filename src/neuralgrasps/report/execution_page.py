@@ -139,7 +139,7 @@ def _trial_table(records: Sequence[Mapping[str, Any]]) -> Table:
                 first.get("pose_error_mm"),
                 first.get("pose_error_deg"),
                 first.get("candidates_tried"),
-                first.get("plan_ms"),
+                None if first.get("plan_ms") is None else round(first["plan_ms"]),
                 first.get("motion_s"),
                 "yes" if record["success"] else "2nd attempt" if record["success_retry"] else "no",
                 str(record["cause"]),
