@@ -76,6 +76,25 @@ def test_an_arm_with_tool0(write):
     assert hand[:3, 2] == pytest.approx([1, 0, 0]) and hand[0, 3] > 1.24  # six times 0.2, and 0.05 to tool0
 
 
+def test_the_face_looks_away_from_the_arm_whatever_the_axis(write):
+    last = _joint("joint5", "link4", "link5", AXES[5])[:-8]
+    text = robot(arm_urdf())
+    assert last in text
+    arm = load_arm(write(text.replace(last, last.replace("1 0 0", "-1 0 0"))))
+    assert arm.X_FM[:3, 2] == pytest.approx([1, 0, 0])
+
+
+def test_home_is_free_where_the_middle_of_the_ranges_is_not(write):
+    text = robot(arm_urdf())
+    for k in (1, 2, 4):  # the middle of these ranges folds the arm into itself
+        start = text.index(f'<joint name="joint{k}"')
+        text = text[:start] + text[start:].replace('lower="-2" upper="2"', 'lower="0.1" upper="5.1"', 1)
+    arm = load_arm(write(text))
+    middle = 0.5 * (arm.tree.lower + arm.tree.upper)
+    clearance = SelfClearance(arm.tree, arm.parts, arm.q_home)
+    assert clearance(middle) < 0.0 < clearance(arm.q_home)
+
+
 def test_speeds_that_are_missing_or_zero_are_assumed_and_said(write):
     arm = load_arm(write(robot(arm_urdf(limit='lower="-2" upper="2" effort="50" velocity="0"'))))
     assert arm.velocity.tolist() == [1.0] * 6 and "no usable speed limit for joint0, " in arm.extra["assumed"]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.arms.arm import Arm, ArmCamera
-from neuralgrasps.arms.flange import find_face
+from neuralgrasps.arms.flange import MIN_JOINTS, find_face
 from neuralgrasps.arms.home import free_posture
 from neuralgrasps.arms.notes import ArmNotes, CameraNotes
 from neuralgrasps.errors import RobotDescriptionError, unknown_name
@@ -22,7 +22,6 @@ TURN = 2 * np.pi  # a continuous joint may turn once to either side
 DEFAULT_SPEED = 1.0  # rad/s, where a file gives none: below that of every arm in common use
 DEFAULT_TRAVEL_SPEED = 0.1  # m/s, the Fetch torso's
 RISE_TIME = 0.5  # s to reach the largest speed, where nothing states the acceleration
-MIN_JOINTS = 4  # fewer cannot point a hand: not an arm
 
 
 def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flange: str) -> Arm:
@@ -114,11 +113,8 @@ def _planned(name: str, tree: KinematicTree, flange: int, notes: ArmNotes) -> np
     while link > 0:
         moves |= tree.coupling[link] != 0
         link = int(tree.parents[link])
-    chain = [
-        j
-        for j in np.flatnonzero(moves)
-        if notes.joints.get(tree.dof_names[j]) is None or notes.joints[tree.dof_names[j]].planned is not False
-    ]
+    resting = {n for n, j in notes.joints.items() if j.planned is False}
+    chain = [j for j in np.flatnonzero(moves) if tree.dof_names[j] not in resting]
     if len(chain) < MIN_JOINTS:
         raise RobotDescriptionError(
             f"arm '{name}' moves the link '{tree.link_names[flange]}' with {len(chain)} joints; expected at least "
