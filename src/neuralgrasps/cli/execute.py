@@ -196,7 +196,7 @@ def _check_pose(pose: str, library: Library, models: dict[str, ObjectModel]) -> 
 
     if pose not in ("baseline", "contact"):
         return
-    known = () if library.run is None else open_library_run(library).field.object_names
+    known = () if library.run is None else open_library_run(library).field.objects
     missing = [name for name in models if name not in known]
     if missing:
         raise InputError(
@@ -215,12 +215,13 @@ def _tasks(
     from neuralgrasps.objects.zoo import load_object
 
     made = "" if grasps is None else hashlib.sha256(grasps.read_bytes()).hexdigest()
-    decide = {k: options[k] for k in ("arm", "hand", "pose", "clutter", "retries", "seed")}
+    decide: dict[str, Any] = {k: options[k] for k in ("arm", "hand", "pose", "clutter", "retries", "seed")}
     around = [load_object(s).content_hash for s in library.sources] if options["clutter"] else []
-    tasks = []
+    tasks: list[TrialTask] = []
     for target, (name, obj) in enumerate(models.items()):
         for index in range(trials):
             about = (neuralgrasps.__version__, name, obj.content_hash, index, made, library.run, around, decide)
+            own: dict[str, Any] = options | {"loop": options["loop"] and len(tasks) < _LOOPS}
             tasks.append(
                 TrialTask(
                     key=hashlib.sha256(repr(about).encode()).hexdigest()[:24],
@@ -230,7 +231,7 @@ def _tasks(
                     index=index,
                     total=trials,
                     grasps=grasps,
-                    **(options | {"loop": options["loop"] and len(tasks) < _LOOPS}),
+                    **own,
                 )
             )
     return tasks

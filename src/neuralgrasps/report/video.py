@@ -127,9 +127,9 @@ def _copy(draft: Path, parts: Sequence[str]) -> None:
                     raise InputError(f"video '{part}' is {stream.width} x {stream.height}; the first one is {size}.")
                 end = shift
                 for packet in source.demux(stream):
-                    if packet.dts is None:
-                        continue
-                    end = max(end, shift + packet.pts + packet.duration)
+                    if packet.pts is None or packet.dts is None:
+                        continue  # the empty packet at the end
+                    end = max(end, shift + packet.pts + (packet.duration or 0))
                     packet.pts, packet.dts = packet.pts + shift, packet.dts + shift
                     packet.stream = target
                     container.mux(packet)
