@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.planning.candidates import RankedCandidates, rank_candidates
-from neuralgrasps.planning.collision import CollisionChecker
+from neuralgrasps.planning.collision import CollisionChecker, CollisionConfig
 from neuralgrasps.planning.ik import ik_solver
 from neuralgrasps.planning.path import PathConfig, plan_path
 from neuralgrasps.planning.straight import follow_line, line_path
@@ -34,18 +35,20 @@ class PickConfig:
         standoff_m: length of the straight approach along the hand's approach axis; steps: waypoints on it.
         lift_m: height of the straight lift.
         clearance_m: least distance of the hand to the table and other objects at the grasp.
+        back_off_m: where the open hand would touch the object at the grasp, it stays so far back along its approach.
         solutions: arm postures tried per grasp, from that many `starts` of inverse kinematics.
         max_grasps: grasps tried; None: all.
         time_limit_s: no further grasp is begun after so long. Below it the result depends on the seed only.
         speed: share of the velocity limits for the transfer; accelerations are scaled by its square.
         approach_speed, lift_speed: of the hand, m/s.
-        path: of the path planner.
+        path: of the path planner. collision: margins; an open hand keeps 1.5 mm from the object until it closes.
     """
 
     standoff_m: float = 0.10
     steps: int = 10
     lift_m: float = 0.20
     clearance_m: float = 0.004
+    back_off_m: float = 0.003
     solutions: int = 6
     starts: int = 24
     max_grasps: int | None = None
@@ -54,6 +57,7 @@ class PickConfig:
     approach_speed: float = 0.08
     lift_speed: float = 0.12
     path: PathConfig = field(default_factory=PathConfig)
+    collision: CollisionConfig = field(default_factory=lambda: CollisionConfig(near_target_margin_m=0.0015))
 
     def __post_init__(self) -> None:
         for name in ("standoff_m", "lift_m", "time_limit_s", "speed", "approach_speed", "lift_speed"):
@@ -143,6 +147,11 @@ def opened_postures(hand: Hand, q_pregrasp: np.ndarray) -> np.ndarray:
     return np.stack([q_open, 0.5 * (q_open + q_pregrasp), q_pregrasp])
 
 
+def _all_free(checker: CollisionChecker, q: np.ndarray) -> bool:
+    """Whether all straight joint motions between rows (T, D) are free."""
+    return all(checker.edge_is_free(a, b) for a, b in pairwise(q))
+
+
 def _check(manipulator: Manipulator, grasps: GraspSet, world: PlanningWorld, q_start: np.ndarray) -> None:
     if world.target is None:
         raise InputError("the planning world has no target; set PlanningWorld.target to the object to pick.")
@@ -184,7 +193,7 @@ class _Walk:
         self.solver = ik_solver(manipulator)
         self.counts: Counter[str] = Counter()
         self.hand = manipulator.hand
-        self.checker = CollisionChecker(manipulator, world, manipulator.hand.q_open)
+        self.checker = CollisionChecker(manipulator, world, manipulator.hand.q_open, config=config.collision)
 
     def run(self, preference: np.ndarray | None) -> PickResult:
         cpu, wall = time.thread_time(), time.perf_counter()
@@ -228,47 +237,52 @@ class _Walk:
     def _try(self, ranked: RankedCandidates, k: int) -> PickPlan | None:
         index = int(ranked.index[k])
         X_BH = self.target.X_BO @ self.grasps.X_OH[index]
-        postures = self.solver.solutions(
-            X_BH, max_solutions=self.config.solutions, starts=self.config.starts, q_near=self.q_start
-        )
-        if len(postures) == 0:
-            self.counts["out of reach"] += 1
-            return None
-        q_closed = self.grasps.q[index]
-        for q_open in opened_postures(self.hand, self.grasps.q_pregrasp[index]):
-            transfer_checker = self.checker.with_hand(q_open)
-            approach_checker = transfer_checker.for_approach()
-            free = approach_checker.is_free(postures)
-            if free.any():
-                break
-        else:
-            self.counts["robot touches something at the grasp"] += 1
-            return None
-        lift_checker = self.checker.for_lift(q_closed, inverse_np(self.grasps.X_OH[index]))
-        back = self._line(X_BH, -self.config.standoff_m * X_BH[:3, :3] @ self.hand.X_HP[:3, 2])
+        reached = False
+        for back_m in (0.0, self.config.back_off_m):
+            X_BH[:3, 3] -= back_m * self._approach(X_BH)
+            postures = self.solver.solutions(
+                X_BH, max_solutions=self.config.solutions, starts=self.config.starts, q_near=self.q_start
+            )
+            reached |= len(postures) > 0
+            for q_open in opened_postures(self.hand, self.grasps.q_pregrasp[index]):
+                checker = self.checker.with_hand(q_open)
+                free = checker.for_approach().is_free(postures)
+                if free.any():
+                    return self._move(ranked, k, X_BH, checker, postures[free])
+        self.counts["robot touches something at the grasp" if reached else "out of reach"] += 1
+        return None
+
+    def _move(
+        self, ranked: RankedCandidates, k: int, X_BH: np.ndarray, checker: CollisionChecker, postures: np.ndarray
+    ) -> PickPlan | None:
+        """The first complete motion to one of some arm postures at a grasp."""
+        index, near = int(ranked.index[k]), checker.for_approach()
+        X_HO = inverse_np(X_BH) @ self.target.X_BO
+        lift_checker = self.checker.for_lift(self.grasps.q[index], X_HO)
+        back = self._line(X_BH, -self.config.standoff_m * self._approach(X_BH))
         up = self._line(X_BH, np.array([0.0, 0.0, self.config.lift_m]))
-        ended = "no path to the standoff"
-        for attempt, q in enumerate(postures[free]):
+        ended = ""
+        for attempt, q in enumerate(postures):
             retreat = follow_line(self.solver, q, back)
-            if not (retreat.complete and approach_checker.is_free(retreat.q).all()):
-                ended = "no straight approach"
+            if not (retreat.complete and _all_free(near, retreat.q)):
+                ended = ended or "no straight approach"
                 continue
             lift = follow_line(self.solver, q, up)
-            if not (lift.complete and lift_checker.is_free(lift.q).all()):
+            if not (lift.complete and _all_free(lift_checker, lift.q)):
                 ended = "no straight lift"
                 continue
-            path = plan_path(
-                transfer_checker,
-                self.q_start,
-                retreat.q[-1:],
-                config=self.config.path,
-                seed=child_seed(self.seed, "path", index, attempt),
-            )
+            seed = child_seed(self.seed, "path", index, attempt)
+            path = plan_path(checker, self.q_start, retreat.q[-1:], config=self.config.path, seed=seed)
             if path.solved:
-                return self._timed(index, X_BH, q_open, path.q, retreat.q[::-1], lift.q, float(ranked.clearance_m[k]))
+                clearance_m = float(ranked.clearance_m[k])
+                return self._timed(index, X_BH, checker.q_hand, path.q, retreat.q[::-1], lift.q, clearance_m)
             ended = "no path to the standoff"
         self.counts[ended] += 1
         return None
+
+    def _approach(self, X_BH: np.ndarray) -> np.ndarray:
+        """(3,) direction in B in which the hand comes."""
+        return np.asarray(X_BH[:3, :3] @ self.hand.X_HP[:3, 2])
 
     def _line(self, X_BH: np.ndarray, shift_B: np.ndarray) -> np.ndarray:
         end = X_BH.copy()
