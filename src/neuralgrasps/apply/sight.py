@@ -25,6 +25,7 @@ from neuralgrasps.planning.world import BoxObstacle, PlacedObject
 _ROBOT_M = 0.02  # pixels so near to the robot's own surface, or in front of it, are the robot
 _ROBOT_RIM = 2  # pixels around it
 _BEYOND_M, _TOWARDS_M = 0.30, 0.03  # how far a table is taken to go on beyond what is seen of it, and to the robot
+_LEAST_PIXELS = 200  # of something that may be the object asked for
 _CLUSTERS = 3  # clusters that may be the one object asked for
 _THICKNESS_M = 0.04
 _CLEAR_OF_TABLE_M = 0.01
@@ -116,7 +117,8 @@ def _table_obstacle(frame: Frame, fit: TableFit) -> BoxObstacle:
 def locate(view: TableView, obj: ObjectModel, *, others: Sequence[ObjectModel] = (), seed: int = 0) -> Sighting:
     """Find `obj` among what stands on the table.
 
-    Alone (no `others`), it is the cluster that it explains best; among others, every cluster is identified.
+    Alone (no `others`), it is the cluster that it explains best; among others, every cluster is identified, and when
+    none gets its name, it is what it explains best of what the others leave, if the pose found there is trusted.
 
     Args:
         others: further objects that may be there.
@@ -155,15 +157,29 @@ def _among_others(view: TableView, obj: ObjectModel, others: Sequence[ObjectMode
     for f in found:
         explained |= f.mask
     unknown_B = _points_B(view, [m & ~explained for m in view.clusters])
-    if mine is None:
+    pose, mask = (mine.pose, mine.mask) if mine is not None else _unnamed(view, obj, explained, seed)
+    if pose is None:
         seen = ", ".join(sorted({f.name for f in found})) or "nothing that is known"
-        return Sighting(
-            X_BO=None, reason=f"'{obj.name}' was not found on the table; seen: {seen}.", others=placed,
-            unknown_B=unknown_B,
-        )  # fmt: skip
-    return Sighting(
-        X_BO=X_BC @ mine.pose.X_CO, reason="", pose=mine.pose, mask=mine.mask, others=placed, unknown_B=unknown_B
-    )
+        reason = f"'{obj.name}' was not found on the table; seen: {seen}."
+        return Sighting(X_BO=None, reason=reason, others=placed, unknown_B=unknown_B)
+    return Sighting(X_BO=X_BC @ pose.X_CO, reason="", pose=pose, mask=mask, others=placed, unknown_B=unknown_B)
+
+
+def _unnamed(
+    view: TableView, obj: ObjectModel, explained: np.ndarray, seed: int
+) -> tuple[PoseResult | None, np.ndarray | None]:
+    """An object that is known to be there, among what nothing else explains: its pose and mask, or None twice."""
+    best: tuple[PoseResult | None, np.ndarray | None] = None, None
+    for cluster in view.clusters:
+        mask = cluster & ~explained & (view.frame.depth > 0)
+        if mask.sum() < _LEAST_PIXELS:
+            continue
+        pose = estimate_pose(
+            obj, depth=view.frame.depth, intrinsics=view.frame.intrinsics, mask=mask, table=view.fit.plane, seed=seed
+        )
+        if pose.converged and (best[0] is None or pose.confidence > best[0].confidence):
+            best = pose, mask
+    return best
 
 
 def _points_B(view: TableView, masks: Sequence[np.ndarray]) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-from neuralgrasps.apply.pick_up import PickUpConfig, plan_in
+from neuralgrasps.apply.pick_up import PickUpConfig, go_home, plan_in
 from neuralgrasps.apply.simulated_robot import SimulatedRobot
 from neuralgrasps.apply.table_scenes import TableScene, draw_scene, scene_world, table_plane
 from neuralgrasps.arms.manipulator import Manipulator
@@ -199,6 +199,7 @@ def measure_clutter(library: Library, arm: str, hand: str, indices: Sequence[int
                 replace(_record(trial, manipulator, index, place, time.perf_counter() - begun), pair="clutter")
             )
             robot.take_away(target)
+            go_home(robot, robot.true_world(), seed=child_seed(seed, "clutter home", index, place))
     return found
 
 
