@@ -61,18 +61,22 @@ def _figure(task: TrialTask, record: Mapping[str, Any]) -> ExecutionFigure:
     from neuralgrasps.report.content import ExecutionFigure
     from neuralgrasps.report.sections import number_text, pretty_name
 
-    first = record["attempts"][0] if record["attempts"] else {}
-    names = PICTURES if first.get("candidate") is not None else PICTURES[:2]
-    captions = _CAPTIONS if first.get("candidate") is not None else _CAPTIONS | {"standoff": "the scene"}
+    attempts = record["attempts"]
+    moved = next((k for k, a in enumerate(attempts) if a["candidate"] is not None), None)
+    first = attempts[0] if attempts else {}
+    names = PICTURES[:2] if moved is None else PICTURES
+    captions = dict(_CAPTIONS) if moved is not None else _CAPTIONS | {"standoff": "the scene"}
+    if moved:
+        captions |= {name: f"{captions[name]} (attempt {moved + 1})" for name in names[1:]}
     loop = task.folder / LOOP_FILE
-    moved = first.get("candidate") is not None
+    raised = None if first.get("candidate") is None else 1e3 * first["lifted_m"]
     facts = (
         ("pose off", f"{number_text(first.get('pose_error_mm'), '.1f', 'mm')}, "
          f"{number_text(first.get('pose_error_deg'), '.1f', '°')}"),
         ("grasps tried", number_text(first.get("candidates_tried"), ".0f")),
         ("plan", number_text(first.get("plan_ms"), ".0f", "ms")),
         ("motion", number_text(first.get("motion_s"), ".1f", "s")),
-        ("raised by", number_text(1e3 * first.get("lifted_m", 0.0) if moved else None, ".0f", "mm")),
+        ("raised by", number_text(raised, ".0f", "mm")),
     )  # fmt: skip
     return ExecutionFigure(
         title=f"{pretty_name(str(record['object']))}, trial {int(record['trial']) + 1}",
@@ -83,7 +87,7 @@ def _figure(task: TrialTask, record: Mapping[str, Any]) -> ExecutionFigure:
         pictures=tuple(
             (captions[n], image) for n in names if (image := _picture(task.folder / f"{n}.png")) is not None
         ),
-        animation=loop.read_bytes() if loop.exists() and moved else b"",
+        animation=loop.read_bytes() if loop.exists() and moved is not None else b"",
         facts=tuple((name, value) for name, value in facts if not value.startswith("–")),
     )
 

@@ -48,7 +48,7 @@ class Film:
 
     Attributes:
         trial: with a recording. scene, painter, view: what is drawn and from where.
-        towards: (3,) from the object to the close camera.
+        towards: (3,) from the object to the close camera, for each attempt.
         seen: picture (h, w, 3) of what the camera saw at each attempt, None where nothing was looked at.
     """
 
@@ -56,7 +56,7 @@ class Film:
     scene: Scene
     painter: ScenePainter
     view: View
-    towards: np.ndarray
+    towards: tuple[np.ndarray, ...]
     seen: tuple[np.ndarray | None, ...]
     _words: dict[Words, np.ndarray] = field(default_factory=dict)
 
@@ -68,7 +68,7 @@ class Film:
         """The picture from near the hand of a recorded state."""
         q, X_BO = self._state(index)
         lit = self.painter.light(q, X_BO)
-        return self.painter.paint(lit, close_view(self.scene, X_BO, self.towards, size=size), keep=False)
+        return self.painter.paint(lit, close_view(self.scene, X_BO, self._towards(index), size=size), keep=False)
 
     def seen_large(self, attempt: int) -> np.ndarray | None:
         """What the camera saw at an attempt, at its own size, with the poses over it."""
@@ -105,8 +105,11 @@ class Film:
     def _pictures(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         q, X_BO = self._state(index)
         lit = self.painter.light(q, X_BO)
-        close = close_view(self.scene, X_BO, self.towards, size=(PANEL_WIDTH, PANEL_WIDTH))
+        close = close_view(self.scene, X_BO, self._towards(index), size=(PANEL_WIDTH, PANEL_WIDTH))
         return self.painter.paint(lit, self.view), self.painter.paint(lit, close, keep=False)
+
+    def _towards(self, index: int) -> np.ndarray:
+        return self.towards[self.attempt_at(index)]
 
     def _state(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         recording = self.trial.recording
@@ -157,16 +160,16 @@ def open_film(trial: Trial, manipulator: Manipulator) -> Film:
     objects = [placed.obj for placed in trial.scene.objects]
     scene = make_scene(manipulator, objects, trial.scene.table, target=target)
     key = key_moments(trial)
-    moments = [(recording.q[i], recording.X_BO[i]) for i in dict.fromkeys([0, *key.values(), key["grasp"]])]
-    view = main_view(scene, [*moments, moments[-1]], size=SIZE)
+    moments = [(recording.q[i], recording.X_BO[i]) for i in (0, key["standoff"], key["lift"], key["grasp"])]
+    view = main_view(scene, moments, size=SIZE)
     centre, radius = lit_zone(scene)
-    grasp = (recording.q[key["grasp"]], recording.X_BO[key["grasp"]])
+    grasps = [key_moments(trial, number)["grasp"] for number in range(len(trial.attempts))]
     return Film(
         trial=trial,
         scene=scene,
         painter=ScenePainter(scene, lamp=lamp_direction(view), centre=centre, radius=radius),
         view=view,
-        towards=close_direction(scene, grasp),
+        towards=tuple(close_direction(scene, (recording.q[i], recording.X_BO[i])) for i in grasps),
         seen=tuple(_seen(trial, attempt, target) for attempt in trial.attempts),
     )
 
@@ -181,12 +184,17 @@ def attempt_numbers(trial: Trial) -> np.ndarray:
     return np.array(moved)[np.clip(begun - 1, 0, len(moved) - 1)]
 
 
-def key_moments(trial: Trial) -> dict[str, int]:
-    """States of the first attempt that moved: "standoff", "grasp", "lift"; its last one where it ended early."""
+def key_moments(trial: Trial, attempt: int | None = None) -> dict[str, int]:
+    """States of an attempt: "standoff", "grasp", "lift"; its last one where it ended early.
+
+    Args:
+        attempt: number of one that moved; the first of them when None.
+    """
     recording = trial.recording
     assert recording is not None
     numbers = attempt_numbers(trial)[: _last_finite(recording.X_BO) + 1]
-    own = [i for i in np.flatnonzero(numbers == numbers[0]) if recording.phases[i] != "return"]
+    own = numbers == (numbers[0] if attempt is None else attempt)
+    own = [i for i in np.flatnonzero(own) if recording.phases[i] != "return"] or [len(numbers) - 1]
     ends = {name: max((i for i in own if recording.phases[i] == name), default=own[-1]) for name in _KEY_PHASES}
     return {shown: int(ends[name]) for name, shown in _KEY_PHASES.items()}
 

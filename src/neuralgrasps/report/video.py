@@ -61,7 +61,7 @@ def join_videos(path: str | Path, parts: Sequence[str | Path]) -> Path:
         return write_whole(path, draft.read_bytes())
 
 
-def animation(frames: Sequence[np.ndarray], *, fps: float, size: tuple[int, int], quality: int = 60) -> bytes:
+def animation(frames: Sequence[np.ndarray], *, fps: float, size: tuple[int, int], quality: int = 72) -> bytes:
     """A looping WebP of frames (h, w, 3) uint8, scaled to `size` (width, height)."""
     if not frames:
         raise InputError("an animation needs at least one frame.")
