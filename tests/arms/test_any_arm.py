@@ -105,7 +105,7 @@ def test_a_joint_without_limits_turns_on_and_on(write):
     arm = load_arm(write(text))
     assert arm.continuous.tolist() == [False] * 5 + [True]
     assert (arm.tree.lower[5], arm.tree.upper[5]) == pytest.approx((-2 * np.pi, 2 * np.pi))
-    assert "-2 pi..2 pi: joint5" in arm.extra["repairs"]
+    assert "-2 pi..2 pi: joint5." in arm.extra["repairs"]
 
 
 def test_what_hangs_on_the_flange_is_cut_off_and_other_limbs_rest(write):

@@ -7,6 +7,7 @@ import pytest
 
 from neuralgrasps.errors import RobotDescriptionError
 from neuralgrasps.kinematics.mjcf import load_mjcf
+from neuralgrasps.kinematics.subtree import without_links_beyond
 from neuralgrasps.kinematics.urdf import load_urdf, outline_urdf
 
 LINK = '<link name="{}"><collision><geometry><box size="0.1 0.1 0.1"/></geometry></collision></link>'
@@ -84,3 +85,15 @@ def test_tendons_over_three_joints_and_curves_are_left_out_and_said(write):
     three = '<tendon tendon1="t1" tendon2="t2" polycoef="0 1 0 0 0"/>'
     read = load_mjcf(write("u.xml", TIED.format(equality=three, ref="")))
     assert "tendon 't1' was ignored" in read.repairs[0] and read.tree.num_dofs == 3
+
+
+def test_a_tree_ends_at_a_link(write):
+    tree = outline_urdf(write("r.urdf", ROBOT)).tree
+    cut, kept = without_links_beyond(tree, tree.link_names.index("arm"))
+    assert cut.link_names == ("base", "arm", "leg") and cut.dof_names == ("shoulder", "hip")
+    assert [tree.link_names[i] for i in kept] == list(cut.link_names)
+    assert cut.parents.tolist() == [-1, 0, 0]
+    assert cut.coupling == pytest.approx(np.array([[0, 0], [1, 0], [0, 1]]))
+    assert cut.X_parent_joint[1] == pytest.approx(tree.X_parent_joint[tree.link_names.index("arm")])
+    whole, _ = without_links_beyond(tree, tree.link_names.index("leg"))
+    assert whole.link_names == tree.link_names

@@ -234,3 +234,15 @@ def test_order_of_elements_does_not_matter(write):
         load_urdf(write("b.urdf", Tree.tostring(root, encoding="unicode"))).tree,
     )
     assert a.link_names == b.link_names and a.dof_names == b.dof_names
+
+
+def test_drives_tell_limits_as_written_speeds_and_endless_turns(write):
+    text = robot(
+        hinge(limit='lower="1" upper="-1" effort="2" velocity="0.7"'),
+        'type="continuous">PC<axis xyz="0 0 1"/>',
+        'type="fixed">PC',
+    )
+    drives = load_urdf(write("r.urdf", text)).drives
+    assert set(drives) == {"j0", "j1"}
+    assert (drives["j0"].lower, drives["j0"].upper, drives["j0"].velocity) == (1.0, -1.0, 0.7)
+    assert drives["j1"].continuous and drives["j1"].velocity is None and not drives["j0"].continuous

@@ -40,7 +40,8 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
     _check_limits(name, description)
     tree, kept = without_links_beyond(full, full.link_names.index(flange))
     _check_names(name, tree, notes)
-    continuous = np.array([_turns_without_end(description, n) for n in tree.dof_names], bool)
+    continuous = np.array([n in description.drives and description.drives[n].continuous for n in tree.dof_names], bool)
+    endless = [n for n, c in zip(tree.dof_names, continuous, strict=True) if c]
     tree = replace(tree, lower=np.where(continuous, -TURN, tree.lower), upper=np.where(continuous, TURN, tree.upper))
     parts, repairs = _parts(description, kept)
     link = tree.link_names.index(flange)
@@ -65,19 +66,9 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
         licence=notes.licence or "not stated",
         provenance=notes.provenance or description.source.name,
         extra={
-            "repairs": "\n".join((*_repairs(description.repairs, tree), *repairs)),
+            "repairs": "\n".join((*_repairs(description.repairs, endless), *repairs)),
             "assumed": "\n".join(assumed),
         },
-    )
-
-
-def _turns_without_end(description: RobotDescription, name: str) -> bool:
-    """Whether the joint turns without end: it is called so, or its limits are a whole turn to either side."""
-    drive, tree = description.drives.get(name), description.tree
-    j = tree.dof_names.index(name)
-    whole = tree.joint_types[tree.joint_names.index(name)] != PRISMATIC
-    return (drive is not None and drive.continuous) or bool(
-        whole and tree.lower[j] <= -TURN + 1e-3 and tree.upper[j] >= TURN - 1e-3
     )
 
 
@@ -137,16 +128,15 @@ def _camera(name: str, tree: KinematicTree, notes: CameraNotes) -> ArmCamera:
     return ArmCamera(link=tree.link_names.index(notes.link), X_LC=notes.X_LC, intrinsics=notes.intrinsics)
 
 
-def _repairs(lines: Sequence[str], tree: KinematicTree) -> list[str]:
-    """Remarks of the reader, with the limits that continuous joints of an arm get."""
-    found = []
-    for line in lines:
-        if line.startswith("continuous joints were given"):
-            names = [n for n in line.rstrip(".").split(": ", 1)[1].split(", ") if n in tree.dof_names]
-            found += [f"continuous joints were given the limits -2 pi..2 pi: {', '.join(names)}."] if names else []
-        else:
-            found.append(line)
-    return found
+def _repairs(lines: Sequence[str], endless: Sequence[str]) -> list[str]:
+    """Remarks of the reader, with the limits that joints that turn without end get in an arm."""
+    replaced = ("continuous joints were given", *(f"joint '{name}' has no lower and upper limit" for name in endless))
+    found = [line for line in lines if not line.startswith(replaced)]
+    return (
+        [*found, f"joints that turn without end have the limits -2 pi..2 pi: {', '.join(endless)}."]
+        if endless
+        else found
+    )
 
 
 def _speeds(description: RobotDescription, tree: KinematicTree, notes: ArmNotes, lines: list[str]) -> np.ndarray:

@@ -20,9 +20,7 @@ def link_meshes(manipulator: Manipulator, *, segments: int = 24) -> tuple[tuple[
     return tuple(found)
 
 
-def posed_meshes(
-    manipulator: Manipulator, q: np.ndarray, *, segments: int = 24
-) -> tuple[tuple[Mesh, ...], np.ndarray]:
+def posed_meshes(manipulator: Manipulator, q: np.ndarray, *, segments: int = 24) -> tuple[tuple[Mesh, ...], np.ndarray]:
     """Meshes of K links and their poses X_BL (K, 4, 4) for all joints q (Q,)."""
     links = link_meshes(manipulator, segments=segments)
     X_BL = forward_fast(manipulator.tree, q)

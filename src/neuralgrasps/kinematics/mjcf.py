@@ -13,7 +13,7 @@ from neuralgrasps.errors import RobotDescriptionError
 from neuralgrasps.geometry.mesh import Mesh, sphere_mesh
 from neuralgrasps.geometry.se3_numpy import make_transform_np, quaternion_matrix
 from neuralgrasps.kinematics.assemble import JointSpec, Mimic, build_tree
-from neuralgrasps.kinematics.description import GeometryKind, LinkGeometry, LinkInertial, RobotDescription
+from neuralgrasps.kinematics.description import GeometryKind, JointDrive, LinkGeometry, LinkInertial, RobotDescription
 from neuralgrasps.kinematics.mjcf_couplings import joint_couplings
 from neuralgrasps.kinematics.mjcf_effort import joint_efforts
 from neuralgrasps.kinematics.safe_xml import read_xml
@@ -84,6 +84,7 @@ class _Reader:
     model: mujoco.MjModel
     link: str | None
     notes: list[str] = field(default_factory=list)
+    drives: dict[str, JointDrive] = field(default_factory=dict)
     base: int = field(init=False)
     frames: dict[int, str] = field(init=False)  # body -> link that carries its shapes
     shift: dict[int, np.ndarray] = field(init=False)  # body -> link origin in the body frame
@@ -130,6 +131,7 @@ class _Reader:
             inertials=tuple(inertials),
             repairs=tuple(dict.fromkeys(self.notes)),
             source=self.path,
+            drives={name: self.drives[name] for name in tree.dof_names},
         )
 
     # -- tree ----------------------------------------------------------------
@@ -185,6 +187,8 @@ class _Reader:
         lower, upper = (float(v) for v in model.jnt_range[j])
         limited = bool(model.jnt_limited[j])
         mimic = coupled if isinstance(coupled, Mimic) else None
+        endless = not limited and coupled is None and model.jnt_type[j] == HINGE
+        self.drives[self.joint_name(j)] = JointDrive(continuous=bool(endless))
         if isinstance(coupled, float):
             lower, upper, limited = coupled, coupled, True
         return JointSpec(
