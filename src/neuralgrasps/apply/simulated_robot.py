@@ -9,9 +9,10 @@ from neuralgrasps.apply.table_scenes import TableScene, scene_world, table_plane
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.se3_numpy import axis_angle_matrix, make_transform_np
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.world import PlanningWorld
-from neuralgrasps.seeds import child_seed
+from neuralgrasps.seeds import child_rng, child_seed
 from neuralgrasps.sim.camera import STRUCTURED_LIGHT
 from neuralgrasps.sim.contact_log import Thing
 from neuralgrasps.sim.tabletop import Recording, TableTop
@@ -26,6 +27,8 @@ class SimulatedRobot:
 
     Args:
         scene: table and objects. config: of the physics. record_every_s: states kept for pictures; None: none.
+        camera_off_m, camera_off_rad: how far the camera is from where the robot believes it to be, in a direction and
+            about an axis that the seed draws once: an error of calibration.
         seed: of the camera's noise; every look draws anew.
     """
 
@@ -36,9 +39,12 @@ class SimulatedRobot:
         *,
         config: TableTopConfig | None = None,
         record_every_s: float | None = None,
+        camera_off_m: float = 0.0,
+        camera_off_rad: float = 0.0,
         seed: int = 0,
     ) -> None:
         self._manipulator = manipulator
+        self._X_CC = _camera_error(camera_off_m, camera_off_rad, seed)
         self.scene, self.seed = scene, seed
         self.table_top = TableTop(manipulator, [(p.obj, p.X_BO) for p in scene.objects], scene.table, config=config)
         self._looks = 0
@@ -55,7 +61,9 @@ class SimulatedRobot:
     def look(self) -> Frame:
         view = self.table_top.depth_view(STRUCTURED_LIGHT, child_seed(self.seed, "look", self._looks))
         self._looks += 1
-        return Frame(depth=view.depth, intrinsics=view.intrinsics, X_WC=view.X_WC, name=f"look {self._looks}")
+        return Frame(
+            depth=view.depth, intrinsics=view.intrinsics, X_WC=view.X_WC @ self._X_CC, name=f"look {self._looks}"
+        )
 
     def execute(self, trajectory: Trajectory) -> None:
         self.table_top.run(trajectory, settle_s=0.0)
@@ -128,3 +136,11 @@ class SimulatedRobot:
             for t in self.table_top.hits(target)
             if t.max_force_n >= least_n and not (t.a.kind is Thing.HAND and t.b.kind is Thing.HAND)
         )
+
+
+def _camera_error(off_m: float, off_rad: float, seed: int) -> np.ndarray:
+    """(4, 4) motion of the camera by a length along, and an angle about, random directions."""
+    direction, axis = child_rng(seed, "camera error").standard_normal((2, 3))
+    X = make_transform_np(axis_angle_matrix(axis / np.linalg.norm(axis), off_rad))
+    X[:3, 3] = off_m * direction / np.linalg.norm(direction)
+    return X

@@ -42,6 +42,7 @@ class ExecuteConfig:
         retries: further attempts, each with a new look, when the object is not held.
         pick: of the pick. sim: of the simulation.
         record_every_s: states kept for pictures; None keeps none.
+        camera_off_m, camera_off_rad: error of the camera's calibration, see `SimulatedRobot`.
         recheck: look again at every executed path, each millimetre, with the physics engine's exact shapes.
     """
 
@@ -51,6 +52,8 @@ class ExecuteConfig:
     sim: TableTopConfig = field(default_factory=TableTopConfig)
     record_every_s: float | None = None
     recheck: bool = False
+    camera_off_m: float = 0.0
+    camera_off_rad: float = 0.0
 
     def __post_init__(self) -> None:
         if self.pose not in get_args(PoseMethod):
@@ -144,7 +147,15 @@ def execute_trial(
         seed: of the sensor, the estimate and the planner.
     """
     config = config or ExecuteConfig()
-    robot = SimulatedRobot(manipulator, scene, config=config.sim, record_every_s=config.record_every_s, seed=seed)
+    robot = SimulatedRobot(
+        manipulator,
+        scene,
+        config=config.sim,
+        record_every_s=config.record_every_s,
+        camera_off_m=config.camera_off_m,
+        camera_off_rad=config.camera_off_rad,
+        seed=seed,
+    )
     robot.settle()
     return run_trial(robot, scene, target, grasps=grasps, paper=paper, config=config, seed=seed)
 
