@@ -164,8 +164,8 @@ class _Reader:
             visual = []
         if problems and not visual and not self.skip_missing:
             raise self.fail(
-                f"link '{name}': {problems[0]} Put the mesh there; 'hands check "
-                "--missing-meshes skip', or missing_meshes='skip' in Python, reads the hand without it."
+                f"link '{name}': {problems[0]} Put the mesh there, or read the robot without it: "
+                "--missing-meshes skip, or missing_meshes='skip' in Python."
             )
         self.notes.extend(f"link '{name}': {p} The collision shape was left out." for p in problems)
         yield from collision
