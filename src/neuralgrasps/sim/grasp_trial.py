@@ -114,22 +114,12 @@ class GraspTrial:
     """The compiled model of one hand and one object, ready to try any number of grasps.
 
     Not thread-safe: it owns one simulation state. Use one per thread (`another` shares the compiled model).
-
-    Args:
-        directions_O: (K, 3) unit vectors in O along which the object is pulled; None: its six axes.
     """
 
     def __init__(
-        self,
-        hand: Hand,
-        obj: ObjectModel,
-        protocol: str | Protocol,
-        *,
-        directions_O: np.ndarray | None = None,
-        model: mujoco.MjModel | None = None,
+        self, hand: Hand, obj: ObjectModel, protocol: str | Protocol, *, model: mujoco.MjModel | None = None
     ) -> None:
         self.hand = hand
-        self._directions_O = _DIRECTIONS_O if directions_O is None else np.asarray(directions_O, np.float64)
         self.obj = obj
         self.protocol = get_protocol(protocol)
         self.model = model or grasp_model(hand, obj, self.protocol)
@@ -151,7 +141,7 @@ class GraspTrial:
 
     def another(self) -> GraspTrial:
         """A second trial of the same pair, with a state of its own."""
-        return GraspTrial(self.hand, self.obj, self.protocol, directions_O=self._directions_O, model=self.model)
+        return GraspTrial(self.hand, self.obj, self.protocol, model=self.model)
 
     def run(
         self,
@@ -183,7 +173,7 @@ class GraspTrial:
         diverged = any(self.data.warning[kind].number for kind in DIVERGED)
         displacement, rotation = (np.nan, np.nan) if rejected or diverged else self._worst
         return TrialOutcome(
-            success=held == len(self._directions_O) and not diverged,
+            success=held == len(_DIRECTIONS_O) and not diverged,
             displacement_m=float(displacement),
             rotation_rad=float(rotation),
             start_penetration_m=penetration,
@@ -239,12 +229,12 @@ class GraspTrial:
     def _hold_in_turn(self, checks: int, observe: Observer | None) -> int:
         """One force after the other, each for its whole time."""
         mujoco.mj_getState(self.model, self.data, self._squeezed, _STATE)
-        for direction in range(len(self._directions_O)):
+        for direction in range(len(_DIRECTIONS_O)):
             if direction and self.protocol.from_reset:
                 mujoco.mj_setState(self.model, self.data, self._squeezed, _STATE)
             if self._hold(direction, checks, 0, observe) is None:
                 return direction
-        return len(self._directions_O)
+        return len(_DIRECTIONS_O)
 
     def _hold_in_rounds(self, checks: int) -> int:
         """The same forces, all six for a short time first, then each to its end.
@@ -254,8 +244,8 @@ class GraspTrial:
         """
         model, data = self.model, self.data
         mujoco.mj_getState(model, data, self._squeezed, _STATE)
-        states = np.tile(self._squeezed, (len(self._directions_O), 1))
-        still = [0] * len(self._directions_O)
+        states = np.tile(self._squeezed, (len(_DIRECTIONS_O), 1))
+        still = [0] * len(_DIRECTIONS_O)
         first = min(checks, self._checks(_FIRST_ROUND_S))
         for length in (first, checks - first):
             for direction, state in enumerate(states):
@@ -265,7 +255,7 @@ class GraspTrial:
                     return direction
                 still[direction] = count
                 mujoco.mj_getState(model, data, state, _STATE)
-        return len(self._directions_O)
+        return len(_DIRECTIONS_O)
 
     def _hold(self, direction: int, checks: int, still: int, observe: Observer | None) -> int | None:
         """Apply force `direction` until it has been checked `checks` times, or nothing moves any more.
@@ -278,7 +268,7 @@ class GraspTrial:
             `still` at the end; None when the object was lost.
         """
         force = self.protocol.force_per_mass * object_mass(self.obj, self.protocol)
-        self.data.xfrc_applied[self._body, :3] = force * (self._start_rotation @ self._directions_O[direction])
+        self.data.xfrc_applied[self._body, :3] = force * (self._start_rotation @ _DIRECTIONS_O[direction])
         for _ in range(checks):
             if still >= _SETTLED_CHECKS:
                 break
