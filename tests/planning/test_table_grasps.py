@@ -78,6 +78,8 @@ def test_a_flat_box_gets_stored_grasps_that_clear_and_new_ones(fetch, box, store
     assert len(found.grasps) > found.from_stored + found.made  # and twins
     assert lowest_on_the_way_back(fetch, found.grasps, plane, CONFIG.retreat_m) >= CONFIG.clearance_m - 1e-9
     assert lowest_on_the_way_back(fetch, stored, plane, CONFIG.retreat_m) < 0.0
+    shake = found.grasps.succeeded("shake")[found.from_stored : found.from_stored + found.made]
+    assert (np.diff(shake.astype(int)) <= 0).all()  # those that hold their own weight first
     assert set(found.grasps.verdicts) == {"dexgraspbench", "shake"} and found.grasps.validated.all()
     assert leaves_room(fetch, found.grasps.q).all()
 

@@ -53,7 +53,8 @@ class TableGrasps:
     """Grasps of one object on one table.
 
     Attributes:
-        grasps: all that clear it: stored ones, their copies by symmetry, new ones, and then the twins of all of these.
+        grasps: all that clear it: stored ones, their copies by symmetry, new ones (first those that other protocols
+            than the one that decides say hold, too), and then the twins of all of these.
         from_stored, made: grasps that were stored or copied from stored ones, and new ones; twins not counted.
         reason: why there are fewer than wanted; "" when there are enough.
     """
@@ -205,6 +206,8 @@ def _made_for(
 
     def make() -> GraspSet:
         result = synthesise(hand, obj, config=settings, seed=seed, support=planned)
-        return result.grasps.with_config(shortfall=result.reason)
+        held = [result.grasps.succeeded(name) for name in settings.also if len(result.grasps)]
+        order = np.argsort(-np.sum(held, axis=0), kind="stable") if held else slice(None)
+        return result.grasps[order].with_config(shortfall=result.reason)
 
     return moved_grasps(remembered(("made", pair_fingerprint(hand, obj), settings, seed, planned), make), back)
