@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from neuralgrasps.cli.execute_trial import FILM_FILE, LOOP_FILE, PICTURES, TrialTask
+from neuralgrasps.cli.execute_trial import FILM_FILE, LOOP_FILE, TrialTask
 from neuralgrasps.cli.outputs import make_parent
 
 if TYPE_CHECKING:
@@ -16,12 +16,6 @@ if TYPE_CHECKING:
 
 _PAGE_BYTES = 24_000_000
 _SHOWN = 60  # trials on the page, all failures first
-_CAPTIONS = {
-    "seen": "what the camera saw, and the pose",
-    "standoff": "before the approach",
-    "grasp": "the hand closed",
-    "lift": "the end",
-}
 
 
 def join_films(video: Path, tasks: Sequence[TrialTask]) -> int:
@@ -58,37 +52,15 @@ def write_execution_page(
 
 
 def _figure(task: TrialTask, record: Mapping[str, Any]) -> ExecutionFigure:
-    from neuralgrasps.report.content import ExecutionFigure
-    from neuralgrasps.report.sections import number_text, pretty_name
+    from neuralgrasps.report.trial_pictures import PICTURES, trial_figure
 
-    attempts = record["attempts"]
-    moved = next((k for k, a in enumerate(attempts) if a["candidate"] is not None), None)
-    first = attempts[0] if attempts else {}
-    names = PICTURES[:2] if moved is None else PICTURES
-    captions = dict(_CAPTIONS) if moved is not None else _CAPTIONS | {"standoff": "the scene"}
-    if moved:
-        captions |= {name: f"{captions[name]} (attempt {moved + 1})" for name in names[1:]}
+    found = {name: _picture(task.folder / f"{name}.png") for name in PICTURES}
     loop = task.folder / LOOP_FILE
-    raised = None if first.get("candidate") is None else 1e3 * first["lifted_m"]
-    facts = (
-        ("pose off", f"{number_text(first.get('pose_error_mm'), '.1f', 'mm')}, "
-         f"{number_text(first.get('pose_error_deg'), '.1f', '°')}"),
-        ("grasps tried", number_text(first.get("candidates_tried"), ".0f")),
-        ("plan", number_text(first.get("plan_ms"), ".0f", "ms")),
-        ("motion", number_text(first.get("motion_s"), ".1f", "s")),
-        ("raised by", number_text(raised, ".0f", "mm")),
-    )  # fmt: skip
-    return ExecutionFigure(
-        title=f"{pretty_name(str(record['object']))}, trial {int(record['trial']) + 1}",
-        success=bool(record["success"]),
-        retry=bool(record["success_retry"]),
-        cause=str(record["cause"]),
-        detail=str(record["detail"]),
-        pictures=tuple(
-            (captions[n], image) for n in names if (image := _picture(task.folder / f"{n}.png")) is not None
-        ),
-        animation=loop.read_bytes() if loop.exists() and moved is not None else b"",
-        facts=tuple((name, value) for name, value in facts if not value.startswith("–")),
+    return trial_figure(
+        record,
+        {name: picture for name, picture in found.items() if picture is not None},
+        number=int(record["trial"]),
+        moving=loop.read_bytes() if loop.exists() else b"",
     )
 
 

@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.object_model import ObjectModel
 
 TRIAL_FILE, FILM_FILE, LOOP_FILE, PLAN_FILE = "trial.json", "film.mp4", "loop.webp", "plan.yaml"
-PICTURES = ("seen", "standoff", "grasp", "lift")
 _RECORD_EVERY_S = 0.04
-_LOOP_FPS, _LOOP_SIZE, _LOOP_SPEED = 8, (480, 360), 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +63,7 @@ def kept_record(task: TrialTask) -> dict[str, Any] | None:
         return None
     if not isinstance(record, dict) or record.get("key") != task.key:
         return None
-    wanted = [FILM_FILE] * task.film + [LOOP_FILE] * task.loop + [f"{PICTURES[-1]}.png"] * task.pictures
+    wanted = [FILM_FILE] * task.film + [LOOP_FILE] * task.loop + ["lift.png"] * task.pictures
     has_motion = bool(record.get("recorded"))
     return record if not has_motion or all((task.folder / name).exists() for name in wanted) else None
 
@@ -160,40 +158,15 @@ def _record(
         "pose": task.pose, "seed": task.seed, "scenes_without_plan": redrawn,
         "why_without_plan": sorted(set(reasons)),
     }  # fmt: skip
+    from neuralgrasps.report.trial_pictures import trial_record
+
     if trial is None:
         detail = f"no plan exists in any of {redrawn} scenes drawn: {reasons[-1] if reasons else ''}"
         return common | {
             "success": False, "success_retry": False, "cause": "infeasible", "detail": detail, "attempts": [],
             "recorded": False,
         }  # fmt: skip
-    return common | {
-        "success": trial.success,
-        "success_retry": trial.success_retry,
-        "cause": trial.cause,
-        "detail": trial.detail,
-        "recorded": trial.recording is not None and len(trial.recording) > 1,
-        "attempts": [
-            {
-                "pose_error_mm": a.pose_error_mm,
-                "pose_error_deg": a.pose_error_deg,
-                "pose_right": a.pose_right,
-                "candidate": None if a.plan is None else a.plan.index,
-                "candidates_tried": None if a.pick is None else a.pick.tried,
-                "plan_ms": None if a.pick is None else 1e3 * a.pick.cpu_s,
-                "look_ms": 1e3 * a.look_cpu_s,
-                "reason": a.reason,
-                "lifted_m": a.lifted_m,
-                "held": a.held,
-                "hits": list(a.hits),
-                "motion_s": None if a.plan is None else sum(
-                    t.duration_s for t in (a.plan.transfer, a.plan.approach, a.plan.lift)
-                ),
-                "X_BO_true": a.X_BO_true,
-                "X_BO_estimate": a.X_BO_estimate,
-            }
-            for a in trial.attempts
-        ],
-    }  # fmt: skip
+    return common | trial_record(trial)
 
 
 def _write_plan(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:
@@ -206,23 +179,16 @@ def _write_plan(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None
 
 def _draw(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:
     from neuralgrasps.report.figures import save_picture
-    from neuralgrasps.report.film import FilmConfig, film_indices, key_moments, open_film
-    from neuralgrasps.report.video import animation, write_video
+    from neuralgrasps.report.film import FilmConfig, open_film
+    from neuralgrasps.report.trial_pictures import moving_picture, strip_pictures
+    from neuralgrasps.report.video import write_video
 
     film = open_film(trial, manipulator)
     if task.pictures:
-        seen = film.seen_large(0)
-        if seen is not None:
-            save_picture(task.folder / "seen.png", seen)
-        key = key_moments(trial)
-        for name in PICTURES[1:]:
-            draw = film.close_up if name == "grasp" else film.moment
-            save_picture(task.folder / f"{name}.png", draw(key[name]))
+        for name, picture in strip_pictures(film).items():
+            save_picture(task.folder / f"{name}.png", picture)
     if task.loop:
-        config = FilmConfig(speed=_LOOP_SPEED, fps=_LOOP_FPS)
-        frames = [film.moment(i) for i in film_indices(trial, config)]
-        frames += [frames[-1]] * _LOOP_FPS
-        write_whole(task.folder / LOOP_FILE, animation(frames, fps=_LOOP_FPS, size=_LOOP_SIZE))
+        write_whole(task.folder / LOOP_FILE, moving_picture(film))
     if task.film:
         config = FilmConfig(speed=task.speed, number=task.index, total=task.total)
         write_video(task.folder / FILM_FILE, film.frames(config), fps=config.fps)
