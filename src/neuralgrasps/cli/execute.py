@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,7 +16,7 @@ from neuralgrasps.cli.models import open_objects, source_text, warn_of_damage, w
 from neuralgrasps.cli.options import OptionalFile, OptionalFolder, OptionalText, Workers, check_seed
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal, counted
-from neuralgrasps.errors import InputError
+from neuralgrasps.errors import InputError, NeuralGraspsError
 
 if TYPE_CHECKING:
     from neuralgrasps.cli.execute_trial import TrialTask
@@ -165,7 +166,21 @@ def _open(terminal: Terminal, objects: ObjectNames, clutter: int) -> tuple[Libra
                 everything[model.name], sources = model, (*sources, source)
         if clutter > len(everything) - 1:
             raise InputError(f"--clutter is {clutter}; there are {len(everything) - 1} other objects to put around.")
-    return library_of(sources, everything), models
+    return _with_usable_run(terminal, library_of(sources, everything)), models
+
+
+def _with_usable_run(terminal: Terminal, library: Library) -> Library:
+    """The library without its run where that cannot be opened: grasps are then made on the spot."""
+    from neuralgrasps.evaluate.pose_bench_methods import open_library_run
+
+    if library.run is None:
+        return library
+    try:
+        open_library_run(library)
+    except NeuralGraspsError as error:
+        terminal.complain(f"note: shipped grasps are not used, new ones are made: {error}")
+        return replace(library, run=None, run_sources=())
+    return library
 
 
 def _check_grasps(path: Path, hand: str, models: dict[str, ObjectModel]) -> None:
