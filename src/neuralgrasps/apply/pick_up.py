@@ -19,12 +19,12 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.collision import CollisionChecker
+from neuralgrasps.planning.lift_proof import lift_proof
 from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
 from neuralgrasps.planning.table_grasps import grasps_on_table
 from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import PlacedObject, PlanningWorld
-from neuralgrasps.sim.grip import grip_target
 
 _OWN_M = 0.012  # points so near to an object that was recognised are its own
 PoseEstimator = Callable[[ObjectModel, TableView, Sighting], np.ndarray]
@@ -33,23 +33,33 @@ PoseRefiner = Callable[[ObjectModel, TableView, Sighting, np.ndarray], np.ndarra
 """A second estimate, once a grasp is planned: the last argument is its X_BH (4, 4)."""
 
 
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """Grasps that a pick is planned with.
+
+    Attributes:
+        count: so many that clear the table; more are made when fewer are stored.
+        friction: a grasp must lift the object in physics with so much of its friction; None: it need not be proven.
+    """
+
+    count: int
+    friction: float | None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickUpConfig:
     """How an object is picked up.
 
     Attributes:
-        plan: of the motion. wants: how many grasps that clear the table are planned with; more are made when fewer are
-            stored, and each further number is taken when the ones before led to no plan.
-        settle_s: pause before closing. close_s: time of closing. grip: see `grip_target`; force: share of the hand's
-            effort limits that may be used.
+        plan: of the motion. stages: which grasps it is planned with; a further stage when those before led to no plan.
+        settle_s: pause before closing. close_s: time of closing; force: share of the hand's effort limits that it may use.
         hold_s: how long the object is held up.
     """
 
     plan: PickConfig = field(default_factory=PickConfig)
-    wants: tuple[int, ...] = (8, 40, 120)
+    stages: tuple[Stage, ...] = (Stage(8, 0.75), Stage(40, 0.75), Stage(40, 1.0), Stage(120, 1.0))
     settle_s: float = 0.3
     close_s: float = 1.2
-    grip: float = 1.0
     force: float = 1.0
     hold_s: float = 2.0
 
@@ -62,7 +72,7 @@ class PickProposal:
         frame: what was seen; None when nothing was looked at. view, sighting: what was made of it.
         X_BO: (4, 4) the pose that was planned with, or None. world: what was planned in.
         result: of the planner. reason: why there is no plan, "" when there is.
-        look_cpu_s, grasps_cpu_s: CPU-seconds of looking and of finding grasps that clear the table.
+        look_cpu_s, grasps_cpu_s: CPU-seconds of looking, and of finding and proving grasps.
     """
 
     frame: Frame | None
@@ -135,26 +145,31 @@ def plan_in(
     config: PickUpConfig,
     seed: int,
 ) -> tuple[PickResult | None, str, float]:
-    """The plan among grasps that clear the table, why there is none, and the CPU-seconds of finding such grasps."""
+    """The plan among proven grasps, why there is none, and the CPU-seconds of finding and proving grasps."""
     assert world.target is not None
-    hand, target, made = manipulator.hand, world.target, 0.0
+    hand, target, made, planned = manipulator.hand, world.target, 0.0, 0.0
     plane_O = table_B.moved(np.linalg.inv(target.X_BO))
-    result, reason, before, planned = None, "", 0, 0.0
-    for want in config.wants:
+    result: PickResult | None = None
+    before: tuple[int, float | None] = (0, None)
+    for stage in config.stages:
         cpu = time.thread_time()
-        found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=want, seed=seed)
+        found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=stage.count, seed=seed)
+        proof = None if stage.friction is None else lift_proof(hand, target.obj, plane_O, stage.friction)
         made += time.thread_time() - cpu
         if len(found.grasps) == 0:
             return None, f"no grasp clears the table: {found.reason}", made
-        if len(found.grasps) == before:
-            break
-        before = len(found.grasps)
-        result = plan_pick(manipulator, found.grasps, world, q_arm, config=config.plan, seed=seed)
-        planned += result.cpu_s
-        reason = result.reason
+        if (len(found.grasps), stage.friction) == before:
+            continue
+        before = (len(found.grasps), stage.friction)
+        result = plan_pick(manipulator, found.grasps, world, q_arm, config=config.plan, proof=proof, seed=seed)
+        planned, made = planned + result.cpu_s, made + result.proof_cpu_s
+        if proof is not None:
+            proof.keep()
         if result.plan is not None or result.blocked:
             break
-    return None if result is None else replace(result, cpu_s=planned), reason, made
+    if result is None:
+        raise InputError("PickUpConfig.stages is empty; expected at least one Stage.")
+    return replace(result, cpu_s=planned), result.reason, made
 
 
 def _world(obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting) -> PlanningWorld:
@@ -192,8 +207,7 @@ def pick_steps(plan: PickPlan, config: PickUpConfig) -> Iterator[Step]:
         robot.wait(config.settle_s)
 
     def close(robot: Robot) -> None:
-        target = grip_target(robot.manipulator.hand, plan.q_grasp, plan.q_squeeze, grip=config.grip)
-        robot.move_hand(target, duration_s=config.close_s, force=config.force)
+        robot.move_hand(plan.q_squeeze, duration_s=config.close_s, force=config.force)
 
     yield Step(name="open", run=lambda robot: robot.move_hand(plan.q_pregrasp, duration_s=0.5))
     yield Step(name="transfer", run=lambda robot: robot.execute(plan.transfer))

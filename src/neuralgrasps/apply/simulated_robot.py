@@ -19,7 +19,6 @@ from neuralgrasps.sim.tabletop import Recording, TableTop
 from neuralgrasps.sim.tabletop_model import TableTopConfig
 
 _SETTLED_M = 0.001
-_FAR_M = 5.0  # what was taken away lies so far off, on the floor
 
 
 class SimulatedRobot:
@@ -115,9 +114,7 @@ class SimulatedRobot:
     def take_away(self, index: int) -> None:
         """Put an object out of the scene."""
         self._gone.add(index)
-        X = np.eye(4)
-        X[:3, 3] = [-_FAR_M, _FAR_M * index, self.scene.table.X_BX[2, 3] + _FAR_M]
-        self.table_top.place(index, X)
+        self.table_top.take_away(index)
 
     def hand_touches(self, index: int) -> bool:
         """Whether the hand touches an object now."""

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-from neuralgrasps.apply.pick_up import PickUpConfig, go_home, plan_in
+from neuralgrasps.apply.pick_up import PickUpConfig, Stage, go_home, plan_in
 from neuralgrasps.apply.simulated_robot import SimulatedRobot
 from neuralgrasps.apply.table_scenes import TableScene, draw_scene, scene_world, table_plane
 from neuralgrasps.arms.manipulator import Manipulator
@@ -24,7 +24,9 @@ from neuralgrasps.planning.pick import PickConfig, PickResult
 from neuralgrasps.seeds import child_rng, child_seed
 
 _DRAWS = 30  # scenes drawn, at most, for one that can be solved
-_LONG = PickUpConfig(wants=(200,), plan=PickConfig(solutions=32, time_limit_s=20.0, path=PathConfig(time_limit_s=10.0)))
+_LONG = PickUpConfig(
+    stages=(Stage(200, 1.0),), plan=PickConfig(solutions=32, time_limit_s=20.0, path=PathConfig(time_limit_s=10.0))
+)
 """The long run that says whether any plan exists."""
 
 

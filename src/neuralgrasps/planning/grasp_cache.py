@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from functools import lru_cache
 from importlib.metadata import version
 
 from neuralgrasps.errors import DataFormatError, InputError, StorageError
@@ -27,12 +28,18 @@ def pair_fingerprint(hand: Hand, obj: ObjectModel) -> str:
     return fingerprint((hand_fingerprint(hand), obj.name, shape, obj.mass_kg, obj.com_O, obj.friction))
 
 
+@lru_cache(maxsize=1)
+def engine_versions() -> tuple[str, ...]:
+    """Versions of the libraries that decide what is made."""
+    return tuple(version(name) for name in _ENGINES)
+
+
 def remembered(content: object, make: Callable[[], GraspSet]) -> GraspSet:
     """The grasps kept for `content` (see `fingerprint`), else what `make` returns, which is then kept.
 
     `make` must depend on `content` only. A folder that cannot be read or written costs time only.
     """
-    key = fingerprint((_VERSION, tuple(version(name) for name in _ENGINES), content))
+    key = fingerprint((_VERSION, engine_versions(), content))
 
     def read_or_make() -> GraspSet:
         path = home_folder() / "cache" / "table_grasps" / f"{key}.safetensors"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
@@ -25,6 +25,7 @@ from neuralgrasps.planning.straight import follow_line, line_path
 from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
+from neuralgrasps.sim.grip import grip_target
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,9 +39,11 @@ class PickConfig:
         back_off_m: where the open hand would touch the object at the grasp, it stays so far back along its approach.
         solutions: arm postures tried per grasp, from that many `starts` of inverse kinematics.
         max_grasps: grasps tried; None: all.
-        time_limit_s: no further grasp is begun after so long. Below it the result depends on the seed only.
+        time_limit_s: no further grasp is begun so long after the first one was done, so that compiling kernels on first
+            use takes nothing from it. Below it the result depends on the seed only.
         speed: share of the velocity limits for the transfer; accelerations are scaled by its square.
-        approach_speed, lift_speed: of the hand, m/s.
+        approach_speed, lift_speed: of the hand, m/s. grip: share of the hand's effort limits, see
+            `grip_target`.
         path: of the path planner. collision: margins; an open hand keeps 1.5 mm from the object until it closes.
     """
 
@@ -56,6 +59,7 @@ class PickConfig:
     speed: float = 0.7
     approach_speed: float = 0.08
     lift_speed: float = 0.12
+    grip: float = 1.0
     path: PathConfig = field(default_factory=PathConfig)
     collision: CollisionConfig = field(default_factory=lambda: CollisionConfig(near_target_margin_m=0.0015))
 
@@ -101,7 +105,7 @@ class PickResult:
         counts: how many grasps, or arm postures, ended at which step.
         blocked: the start itself is in collision; no grasp can help.
         tried: grasps that were begun. complete: all grasps were tried or a plan was found (no limit cut it short).
-        cpu_s: CPU-seconds of this thread. seed: the seed.
+        cpu_s: CPU-seconds of this thread, without those of the proof, proof_cpu_s. seed: the seed.
     """
 
     plan: PickPlan | None
@@ -111,6 +115,7 @@ class PickResult:
     tried: int
     complete: bool
     cpu_s: float
+    proof_cpu_s: float
     seed: int
 
 
@@ -122,6 +127,7 @@ def plan_pick(
     *,
     config: PickConfig | None = None,
     preference: np.ndarray | None = None,
+    proof: Callable[[GraspSet], bool] | None = None,
     seed: int = 0,
 ) -> PickResult:
     """Walk the grasps from best to worst, to the first with a complete motion.
@@ -132,13 +138,14 @@ def plan_pick(
     Args:
         grasps: of `world.target` by the manipulator's hand. q_start: (D,) planned joints now.
         preference: (N,) see `rank_candidates`.
+        proof: asked of a grasp (a set of one) that can be reached, before its path is planned; see `LiftProof`.
     Raises:
         InputError: no grasps, grasps of another hand or object, no target, a start outside the limits.
     """
     config = config or PickConfig()
     q_start = np.asarray(q_start, float)
     _check(manipulator, grasps, world, q_start)
-    return _Walk(manipulator, grasps, world, q_start, config, seed).run(preference)
+    return _Walk(manipulator, grasps, world, q_start, config, proof, seed).run(preference)
 
 
 def opened_postures(hand: Hand, q_pregrasp: np.ndarray) -> np.ndarray:
@@ -165,6 +172,7 @@ def _check(manipulator: Manipulator, grasps: GraspSet, world: PlanningWorld, q_s
             f"'{world.target.obj.name}'; give grasps of that pair."
         )
     check_shape("q_start", q_start.shape, (len(manipulator.arm_dofs),))
+    _check_limits(manipulator)
     outside = (q_start < manipulator.lower - 1e-6) | (q_start > manipulator.upper + 1e-6) | ~np.isfinite(q_start)
     if outside.any():
         listed = ", ".join(
@@ -172,6 +180,20 @@ def _check(manipulator: Manipulator, grasps: GraspSet, world: PlanningWorld, q_s
             for j in np.flatnonzero(outside)
         )
         raise InputError(f"the start of robot '{manipulator.name}' is outside its joint limits: {listed}.")
+
+
+def _check_limits(manipulator: Manipulator) -> None:
+    m = manipulator
+    usable = (m.lower < m.upper) & (m.velocity > 0) & (m.acceleration > 0)
+    if not usable.all():
+        listed = ", ".join(
+            f"{m.arm_names[j]} {m.lower[j]:g}..{m.upper[j]:g}, velocity {m.velocity[j]:g}, "
+            f"acceleration {m.acceleration[j]:g}"
+            for j in np.flatnonzero(~usable)
+        )
+        raise InputError(
+            f"limits of robot '{m.name}' contradict each other: {listed}; expected lower < upper, the others positive."
+        )
 
 
 class _Walk:
@@ -184,6 +206,7 @@ class _Walk:
         world: PlanningWorld,
         q_start: np.ndarray,
         config: PickConfig,
+        proof: Callable[[GraspSet], bool] | None,
         seed: int,
     ) -> None:
         assert world.target is not None
@@ -192,11 +215,12 @@ class _Walk:
         self.target = world.target
         self.solver = ik_solver(manipulator)
         self.counts: Counter[str] = Counter()
+        self.proof, self.proof_cpu = proof, 0.0
         self.hand = manipulator.hand
         self.checker = CollisionChecker(manipulator, world, manipulator.hand.q_open, config=config.collision)
 
     def run(self, preference: np.ndarray | None) -> PickResult:
-        cpu, wall = time.thread_time(), time.perf_counter()
+        cpu, wall = time.thread_time(), np.inf
         touching = self.checker.describe(self.q_start)
         if touching:
             return self._result(None, f"the arm's start is in collision: {touching}.", 0, True, cpu, blocked=True)
@@ -213,6 +237,7 @@ class _Walk:
             tried += 1
             if (plan := self._try(ranked, k)) is not None:
                 break
+            wall = min(wall, time.perf_counter())
         return self._result(plan, "" if plan else self._why(ranked, complete), tried, complete, cpu)
 
     def _result(
@@ -225,7 +250,8 @@ class _Walk:
             blocked=blocked,
             tried=tried,
             complete=complete,
-            cpu_s=time.thread_time() - cpu,
+            cpu_s=time.thread_time() - cpu - self.proof_cpu,
+            proof_cpu_s=self.proof_cpu,
             seed=self.seed,
         )
 
@@ -271,6 +297,9 @@ class _Walk:
             if not (lift.complete and _all_free(lift_checker, lift.q)):
                 ended = "no straight lift"
                 continue
+            if not self._proven(index):
+                self.counts["does not lift it in physics"] += 1
+                return None
             seed = child_seed(self.seed, "path", index, attempt)
             path = plan_path(checker, self.q_start, retreat.q[-1:], config=self.config.path, seed=seed)
             if path.solved:
@@ -279,6 +308,14 @@ class _Walk:
             ended = "no path to the standoff"
         self.counts[ended] += 1
         return None
+
+    def _proven(self, index: int) -> bool:
+        if self.proof is None:
+            return True
+        cpu = time.thread_time()
+        held = self.proof(self.grasps[index])
+        self.proof_cpu += time.thread_time() - cpu
+        return held
 
     def _approach(self, X_BH: np.ndarray) -> np.ndarray:
         """(3,) direction in B in which the hand comes."""
@@ -310,6 +347,6 @@ class _Walk:
             lift=timed(lift, hand_m=config.lift_m, max_hand_speed=config.lift_speed),
             q_pregrasp=q_open,
             q_grasp=self.grasps.q[index],
-            q_squeeze=self.grasps.q_squeeze[index],
+            q_squeeze=grip_target(self.hand, self.grasps.q[index], self.grasps.q_squeeze[index], grip=config.grip),
             clearance_m=clearance_m,
         )
