@@ -19,7 +19,7 @@ from neuralgrasps.planning.collision_arrays import (
     Work,
     make_work,
 )
-from neuralgrasps.planning.collision_kernels import config_is_free, configs_are_free, edge_is_free
+from neuralgrasps.planning.collision_kernels import config_is_free, configs_are_free, edge_is_free, path_is_free
 from neuralgrasps.planning.collision_robot import RobotTables, robot_tables
 from neuralgrasps.planning.collision_world import (
     box_rows,
@@ -141,6 +141,10 @@ class CollisionChecker:
         """Whether the straight joint motion from q0 to q1 (D,) is free, ends included, at steps as `config` states."""
         a, b = self._rows(np.asarray(q0)[None]), self._rows(np.asarray(q1)[None])
         return bool(edge_is_free(self.arrays, a[0], b[0], self.work))
+
+    def path_is_free(self, q_arm: np.ndarray) -> bool:
+        """Whether the joint motion through waypoints (T, D), straight between them, is free; each piece as an edge."""
+        return bool(path_is_free(self.arrays, self._rows(q_arm), self.work))
 
     def clearance(self, q_arm: np.ndarray, *, cap_m: float = 0.10) -> float:
         """Least distance, metres, of the moving links (and what is carried) to the world; 0 in touch, at most `cap_m`.

@@ -2,6 +2,7 @@
 
     config_is_free(check, q_arm, work) -> bool
     edge_is_free(check, q0, q1, work) -> bool
+    path_is_free(check, q, work) -> bool
 
 Parts against boxes and against each other: exact distance (`convex_gap`). Parts against grids: trees of spheres, and
 for the hand where `exact_hand` says so its surface points. Far things are told by spheres around links and parts.
@@ -33,6 +34,7 @@ from neuralgrasps.planning.collision_arrays import (
     RADIUS,
     SIZE,
     TARGET,
+    plain_kernel,
 )
 from neuralgrasps.planning.convex_kernels import convex_gap, point_gap
 from neuralgrasps.planning.grid_kernels import grid_lower_bound
@@ -92,6 +94,17 @@ def edge_is_free(check, q0, q1, work):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
+def path_is_free(check, q, work):  # type: ignore[no-untyped-def]
+    """Whether all edges between waypoints (T, D) are free; of a single waypoint, whether it is."""
+    if q.shape[0] == 1:
+        return config_is_free(check, q[0], work)
+    free = True
+    for i in range(q.shape[0] - 1):
+        free = free and edge_is_free(check, q[i], q[i + 1], work)
+    return free
+
+
+@njit(cache=True, error_model="numpy")
 def edge_steps(check, q0, q1, work):  # type: ignore[no-untyped-def]
     """How many steps the edge from q0 to q1 (D,) is checked in.
 
@@ -117,7 +130,7 @@ def edge_steps(check, q0, q1, work):  # type: ignore[no-untyped-def]
     return max(1, math.ceil(max(ways, widest / check.max_step_rad)))
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _longest_way(links, link_info, before, after):  # type: ignore[no-untyped-def]
     """How far any point of a link moves at most, to first order, between two poses of the bodies (K, 4, 4)."""
     longest = 0.0
@@ -135,7 +148,7 @@ def _longest_way(links, link_info, before, after):  # type: ignore[no-untyped-de
     return longest
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def pose_robot(check, q_arm, work):  # type: ignore[no-untyped-def]
     """Poses of the bodies and centres of the links, in B, at planned joints (D,), into `work`."""
     link_poses(
@@ -150,7 +163,7 @@ def pose_robot(check, q_arm, work):  # type: ignore[no-untyped-def]
     work.made[check.num_parts] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _moved(X, k, x, y, z):  # type: ignore[no-untyped-def]
     """X[k] @ (x, y, z) for poses X (K, 4, 4)."""
     return (
@@ -160,7 +173,7 @@ def _moved(X, k, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _into_frame(table, i, c, x, y, z):  # type: ignore[no-untyped-def]
     """(x, y, z) in the frame whose pose is in row i of a table, from column c on."""
     dx, dy, dz = x - table[i, c + 3], y - table[i, c + 7], z - table[i, c + 11]
@@ -171,14 +184,14 @@ def _into_frame(table, i, c, x, y, z):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def box_distance(parts, b, x, y, z):  # type: ignore[no-untyped-def]
     """Signed distance from (x, y, z), in B, to the box in row b of `parts`."""
     u, v, w = _into_frame(parts, b, POSE, x, y, z)
     return box_sdf(u, v, w, parts[b, SIZE], parts[b, SIZE + 1], parts[b, SIZE + 2])
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def pose_part(parts, part, X_BK, k, poses, made):  # type: ignore[no-untyped-def]
     """The pose in B of a part of body k into its row of `poses`, unless this check has made it before."""
     now = made[made.shape[0] - 1]
@@ -195,7 +208,7 @@ def pose_part(parts, part, X_BK, k, poses, made):  # type: ignore[no-untyped-def
         poses[part, 4 * r + 3] += X_BK[k, r, 3]
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _clears_boxes(  # type: ignore[no-untyped-def]
     links, link_info, parts, part_info, vertices, num_parts, margins, X_BK, centres, poses, made, simplex
 ):
@@ -214,7 +227,7 @@ def _clears_boxes(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def link_box_gap(link_info, parts, part_info, vertices, g, b, need, any_will_do, X_BK, poses, made, simplex):  # type: ignore[no-untyped-def]
     """Distance of link g and the box in row b of `parts` where it is less than `need`, else `need`.
 
@@ -232,7 +245,7 @@ def link_box_gap(link_info, parts, part_info, vertices, g, b, need, any_will_do,
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _clears_itself(  # type: ignore[no-untyped-def]
     pairs, pair_margins, links, link_info, parts, part_info, vertices, X_BK, centres, poses, made, simplex
 ):
@@ -251,7 +264,7 @@ def _clears_itself(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, centres, poses, made, simplex):  # type: ignore[no-untyped-def]
     """Distance of links g and h where it is less than `need`, else `need`; 0 where they overlap."""
     i, j = link_info[g, BODY], link_info[h, BODY]
@@ -262,12 +275,14 @@ def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, ce
         reach = parts[a, 3] + links[h, 3] + best
         if dx * dx + dy * dy + dz * dz >= reach * reach:
             continue
+        pose_part(parts, a, X_BK, i, poses, made)
+        if point_gap(parts, part_info, poses, a, centres[h, 0], centres[h, 1], centres[h, 2]) >= links[h, 3] + best:
+            continue
         for b in range(link_info[h, FIRST_PART], link_info[h, END_PART]):
             bx, by, bz = _moved(X_BK, j, parts[b, 0], parts[b, 1], parts[b, 2])
             reach = parts[a, 3] + parts[b, 3] + best
             if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 >= reach * reach:
                 continue
-            pose_part(parts, a, X_BK, i, poses, made)
             if point_gap(parts, part_info, poses, a, bx, by, bz) >= parts[b, 3] + best:
                 continue
             pose_part(parts, b, X_BK, j, poses, made)
@@ -278,7 +293,7 @@ def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, ce
     return best
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _clears_grids(  # type: ignore[no-untyped-def]
     links, link_info, part_info, nodes, node_info, points, grids, grid_info, values, kinds, kind, margins, exact_hand,
     X_BK, centres,
@@ -303,7 +318,7 @@ def _clears_grids(  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def link_grid_gap(  # type: ignore[no-untyped-def]
     link_info, part_info, nodes, node_info, points, grids, grid_info, values, g, a, frames, column, need, exact, X_BK
 ):

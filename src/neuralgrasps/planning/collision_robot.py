@@ -9,7 +9,7 @@ import numpy as np
 
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.compiled import njit
-from neuralgrasps.hands.chains import rigid_bodies
+from neuralgrasps.hands.chains import moved_links, rigid_bodies
 from neuralgrasps.hands.hand import ConvexPart, PartKind
 from neuralgrasps.hands.parts import bounding_sphere, part_distances
 from neuralgrasps.hands.surface import sample_hand_surface
@@ -21,6 +21,7 @@ from neuralgrasps.planning.spheres import SphereTree, cover_part
 
 ARM_EXCESS_M = 0.010  # spheres stand out of the arm's parts by no more
 HAND_EXCESS_M = 0.004  # and of the hand's
+_ONE_SPHERE_M = 100.0  # of what is fixed to the base: its spheres are not used
 POINT_SPACING_M = 0.0055  # of the hand's surface points
 _POSTURES = 48  # random ones that decide which links may touch
 _PAIR_REACH = 0.05  # metres; distances beyond are not measured
@@ -78,9 +79,8 @@ class RobotShape:
 def robot_shape(manipulator: Manipulator) -> RobotShape:
     """Sphere trees, surface points and touching pairs of a manipulator; kept for the last few."""
     parts = tuple(sorted(manipulator.parts, key=lambda p: p.link))
-    trees = tuple(
-        cover_part(p, excess_m=HAND_EXCESS_M if p.link >= manipulator.hand_link else ARM_EXCESS_M) for p in parts
-    )
+    moves = np.any(moved_links(manipulator.tree)[:, manipulator.arm_dofs], axis=1)
+    trees = tuple(cover_part(p, excess_m=_excess(manipulator, p) if moves[p.link] else _ONE_SPHERE_M) for p in parts)
     points_L, point_start = _points_by_leaf(manipulator, parts, trees)
     links = np.unique([p.link for p in parts])
     none = RobotShape(
@@ -88,6 +88,10 @@ def robot_shape(manipulator: Manipulator) -> RobotShape:
         pair=np.zeros((0, 2), np.int64), pair_gap=np.zeros(0), always=(),
     )  # fmt: skip
     return _with_pairs(manipulator, none)
+
+
+def _excess(manipulator: Manipulator, part: ConvexPart) -> float:
+    return HAND_EXCESS_M if part.link >= manipulator.hand_link else ARM_EXCESS_M
 
 
 def _points_by_leaf(

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import math
 
-from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.shape_kernels import box_sdf, capsule_sdf, cylinder_sdf
 from neuralgrasps.hands.hand import PartKind
-from neuralgrasps.planning.collision_arrays import END_VERTEX, FIRST_VERTEX, KIND, SIZE
+from neuralgrasps.planning.collision_arrays import END_VERTEX, FIRST_VERTEX, KIND, SIZE, plain_kernel
 
 _BOX, _SPHERE, _CAPSULE, _CYLINDER = (
     int(k) for k in (PartKind.BOX, PartKind.SPHERE, PartKind.CAPSULE, PartKind.CYLINDER)
@@ -22,7 +21,7 @@ _TINY = 1e-18  # m^2; nearer than a nanometre is touching
 _RELATIVE = 1e-9  # of |v|^2: no further progress
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _support(parts, part_info, vertices, poses, i, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Point of part i's core that lies farthest along (dx, dy, dz)."""
     lx = poses[i, 0] * dx + poses[i, 4] * dy + poses[i, 8] * dz
@@ -54,13 +53,13 @@ def _support(parts, part_info, vertices, poses, i, dx, dy, dz):  # type: ignore[
     )
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _core_radius(parts, part_info, i):  # type: ignore[no-untyped-def]
     """Radius, metres, that part i has around its core."""
     return parts[i, SIZE] if part_info[i, KIND] in (_SPHERE, _CAPSULE) else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def point_gap(parts, part_info, poses, i, x, y, z):  # type: ignore[no-untyped-def]
     """Signed distance, metres, from (x, y, z) to part i; minus infinity, which says nothing, to spheres and hulls."""
     dx, dy, dz = x - poses[i, 3], y - poses[i, 7], z - poses[i, 11]
@@ -78,7 +77,7 @@ def point_gap(parts, part_info, poses, i, x, y, z):  # type: ignore[no-untyped-d
     return gap
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def convex_gap(parts, part_info, vertices, poses, a, b, need, simplex):  # type: ignore[no-untyped-def]
     """Distance between parts a and b, as far as `need` asks for it.
 
@@ -118,7 +117,7 @@ def convex_gap(parts, part_info, vertices, poses, a, b, need, simplex):  # type:
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _nearest_on_simplex(s, count):  # type: ignore[no-untyped-def]
     """(corners kept, x, y, z): the point of a simplex nearest to the origin; `s` is cut to the corners it needs.
 
@@ -133,7 +132,7 @@ def _nearest_on_simplex(s, count):  # type: ignore[no-untyped-def]
     return _nearest_on_tetrahedron(s)
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _nearest_on_segment(s):  # type: ignore[no-untyped-def]
     ux, uy, uz = s[1, 0] - s[0, 0], s[1, 1] - s[0, 1], s[1, 2] - s[0, 2]
     t = -(s[0, 0] * ux + s[0, 1] * uy + s[0, 2] * uz)
@@ -141,13 +140,13 @@ def _nearest_on_segment(s):  # type: ignore[no-untyped-def]
     if t <= 0.0 or length == 0.0:
         return 1, s[0, 0], s[0, 1], s[0, 2]
     if t >= length:
-        s[0, :] = s[1, :]
+        s[0, 0], s[0, 1], s[0, 2] = s[1, 0], s[1, 1], s[1, 2]
         return 1, s[0, 0], s[0, 1], s[0, 2]
     t /= length
     return 2, s[0, 0] + t * ux, s[0, 1] + t * uy, s[0, 2] + t * uz
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _nearest_on_triangle(s):  # type: ignore[no-untyped-def]
     """By the regions of Ericson, Real-Time Collision Detection (2005), 5.1.5."""
     ax, ay, az = s[0, 0], s[0, 1], s[0, 2]
@@ -164,7 +163,7 @@ def _nearest_on_triangle(s):  # type: ignore[no-untyped-def]
     return _nearest_edge(s)
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _nearest_edge(s):  # type: ignore[no-untyped-def]
     """The nearest point on the three edges of a triangle, `s` cut to it."""
     best, first, second, place = math.inf, 0, 0, 0.0
@@ -190,7 +189,7 @@ def _nearest_edge(s):  # type: ignore[no-untyped-def]
     return 2, a0 + place * (b0 - a0), a1 + place * (b1 - a1), a2 + place * (b2 - a2)
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _nearest_on_tetrahedron(s):  # type: ignore[no-untyped-def]
     """The best of the faces that the origin is outside of; none: it is inside."""
     best, face, kept, x, y, z = math.inf, -1, 0, 0.0, 0.0, 0.0
@@ -212,12 +211,12 @@ def _nearest_on_tetrahedron(s):  # type: ignore[no-untyped-def]
     return kept, x, y, z
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _row(s, i):  # type: ignore[no-untyped-def]
     return s[i, 0], s[i, 1], s[i, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def _is_outside(opposite, a, b, c):  # type: ignore[no-untyped-def]
     """Whether the origin lies on the other side of the face a, b, c than the corner `opposite`; flat ones always."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]

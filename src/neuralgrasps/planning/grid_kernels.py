@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from neuralgrasps.compiled import njit
-from neuralgrasps.planning.collision_arrays import ERROR, HIGH, INV_SPACING, LOW, ORIGIN
+from neuralgrasps.planning.collision_arrays import ERROR, HIGH, INV_SPACING, LOW, ORIGIN, plain_kernel
 
 
-@njit(cache=True, error_model="numpy")
+@plain_kernel
 def grid_lower_bound(grids, grid_info, values, a, x, y, z, enough):  # type: ignore[no-untyped-def]
     """A distance, metres, that thing a is not nearer than to (x, y, z) in its own frame; negative inside.
 
