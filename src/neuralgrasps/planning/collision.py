@@ -56,7 +56,7 @@ class CollisionConfig:
     sink_m: float = 0.001
     max_step_rad: float = 0.02
     max_step_m: float = 0.02
-    near_step_m: float = 0.005
+    near_step_m: float = 0.004
 
     def __post_init__(self) -> None:
         for name in ("margin_m", "self_margin_m", "near_margin_m", "sink_m"):
