@@ -27,7 +27,11 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.symmetry import find_symmetry, trivial_symmetry
 
 if TYPE_CHECKING:
+    from neuralgrasps.apply.table_scenes import TableScene
+    from neuralgrasps.arms.manipulator import Manipulator
     from neuralgrasps.model.train import TrainResult
+    from neuralgrasps.planning.pick import PickPlan
+    from neuralgrasps.planning.world import PlanningWorld
 
 ASSETS = Path(__file__).resolve().parents[1].parent / "shared" / "assets"
 
@@ -152,3 +156,44 @@ def small_run(small_world: SmallWorld, small_dataset: GraspDataset) -> TrainResu
 
     config = TrainConfig(steps=60, batch=16, jitter=Jitter(copies=1), noise_min=0.4, seed=1)
     return train(small_dataset, hands=small_world.hands, objects=small_world.objects, config=config)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PickScene:
+    """The Fetch before a table with one upright box on it, stored grasps of the box, and the plan to pick it up.
+
+    Attributes:
+        q_start: (D,) the arm at home. world: what is there, the box as the target.
+    """
+
+    robot: Manipulator
+    obj: ObjectModel
+    grasps: GraspSet
+    scene: TableScene
+    world: PlanningWorld
+    q_start: np.ndarray
+    plan: PickPlan
+
+
+@pytest.fixture(scope="session")
+def pick_scene() -> PickScene:
+    from neuralgrasps.apply.table_scenes import TableScene, scene_table, scene_world  # noqa: PLC0415 - OMPL, toppra
+    from neuralgrasps.arms.mount import mount  # noqa: PLC0415
+    from neuralgrasps.arms.zoo import load_arm  # noqa: PLC0415
+    from neuralgrasps.grasps.grasp_io import load_grasps  # noqa: PLC0415
+    from neuralgrasps.model.run_notes import run_folder  # noqa: PLC0415
+    from neuralgrasps.objects.zoo import load_object  # noqa: PLC0415
+    from neuralgrasps.planning.pick import plan_pick  # noqa: PLC0415
+    from neuralgrasps.planning.world import PlacedObject  # noqa: PLC0415
+
+    robot, obj = mount(load_arm("fetch"), load_hand("fetch")), load_object("gelatin_box")
+    grasps = load_grasps(run_folder("standins7") / "grasps" / obj.name / f"{robot.hand.name}.safetensors")
+    X_BO = np.eye(4)
+    X_BO[:3, 3] = [0.75, 0.1, robot.arm.table_height_m - obj.mesh.bounds[0, 2]]
+    scene = TableScene(table=scene_table(robot.arm), objects=(PlacedObject(obj=obj, X_BO=X_BO),), seed=0)
+    world, q_start = scene_world(scene, 0), robot.q_home[robot.arm_dofs]
+    result = plan_pick(robot, grasps, world, q_start, seed=3)
+    assert result.plan is not None, result.reason
+    return PickScene(
+        robot=robot, obj=obj, grasps=grasps, scene=scene, world=world, q_start=q_start, plan=result.plan
+    )  # fmt: skip
