@@ -11,7 +11,7 @@ from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.sdf_grid import SdfGrid
 
 FINEST_M, COARSEST_M = 0.005, 0.010
-_MOST_NODES = 700_000
+_MOST_NODES = 450_000
 _PADDING_M = 0.03  # grid beyond the points; farther out their box gives the distance
 _INTERPOLATION = 0.29  # spacings: how much trilinear distances to nodes can be too large, see `cloud_grid`
 
