@@ -52,7 +52,7 @@ class PickUpConfig:
 
     Attributes:
         plan: of the motion. stages: which grasps it is planned with; a further stage when those before led to no plan.
-        settle_s: pause before closing. close_s: time of closing; force: share of the hand's effort limits that it may use.
+        settle_s: pause before closing. close_s: time of closing; force: share of the hand's effort limits it may use.
         hold_s: how long the object is held up.
     """
 

@@ -215,7 +215,7 @@ class _Walk:
         self.target = world.target
         self.solver = ik_solver(manipulator)
         self.counts: Counter[str] = Counter()
-        self.proof, self.proof_cpu = proof, 0.0
+        self.proof, self.proof_cpu, self.proof_wall = proof, 0.0, 0.0
         self.hand = manipulator.hand
         self.checker = CollisionChecker(manipulator, world, manipulator.hand.q_open, config=config.collision)
 
@@ -230,7 +230,7 @@ class _Walk:
         self.counts.update(ranked.dropped)
         plan, tried, complete = None, 0, True
         for k in range(len(ranked.index)):
-            late = time.perf_counter() - wall > self.config.time_limit_s
+            late = time.perf_counter() - wall - self.proof_wall > self.config.time_limit_s
             if late or (self.config.max_grasps is not None and tried >= self.config.max_grasps):
                 complete = False
                 break
@@ -312,9 +312,10 @@ class _Walk:
     def _proven(self, index: int) -> bool:
         if self.proof is None:
             return True
-        cpu = time.thread_time()
+        cpu, wall = time.thread_time(), time.perf_counter()
         held = self.proof(self.grasps[index])
         self.proof_cpu += time.thread_time() - cpu
+        self.proof_wall += time.perf_counter() - wall
         return held
 
     def _approach(self, X_BH: np.ndarray) -> np.ndarray:
