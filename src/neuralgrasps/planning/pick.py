@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
@@ -154,11 +153,6 @@ def opened_postures(hand: Hand, q_pregrasp: np.ndarray) -> np.ndarray:
     return np.stack([q_open, 0.5 * (q_open + q_pregrasp), q_pregrasp])
 
 
-def _all_free(checker: CollisionChecker, q: np.ndarray) -> bool:
-    """Whether all straight joint motions between rows (T, D) are free."""
-    return all(checker.edge_is_free(a, b) for a, b in pairwise(q))
-
-
 def _check(manipulator: Manipulator, grasps: GraspSet, world: PlanningWorld, q_start: np.ndarray) -> None:
     if world.target is None:
         raise InputError("the planning world has no target; set PlanningWorld.target to the object to pick.")
@@ -290,11 +284,11 @@ class _Walk:
         ended = ""
         for attempt, q in enumerate(postures):
             retreat = follow_line(self.solver, q, back)
-            if not (retreat.complete and _all_free(near, retreat.q)):
+            if not (retreat.complete and near.path_is_free(retreat.q)):
                 ended = ended or "no straight approach"
                 continue
             lift = follow_line(self.solver, q, up)
-            if not (lift.complete and _all_free(lift_checker, lift.q)):
+            if not (lift.complete and lift_checker.path_is_free(lift.q)):
                 ended = "no straight lift"
                 continue
             if not self._proven(index):
