@@ -26,6 +26,7 @@ from neuralgrasps.planning.table_grasps import grasps_on_table
 from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import PlacedObject, PlanningWorld
 
+_MEASURED = 0.01  # rad or metres that a joint that is at its limit may be measured to be beyond it
 _OWN_M = 0.012  # points so near to an object that was recognised are its own
 PoseEstimator = Callable[[ObjectModel, TableView, Sighting], np.ndarray]
 """Another estimate of X_BO in place of ours: (object, view, our sighting) -> X_BO (4, 4)."""
@@ -149,6 +150,7 @@ def plan_in(
     assert world.target is not None
     hand, target, made, planned = manipulator.hand, world.target, 0.0, 0.0
     plane_O = table_B.moved(np.linalg.inv(target.X_BO))
+    q_arm = within_limits(manipulator, q_arm)
     result: PickResult | None = None
     before: tuple[int, float | None] = (0, None)
     for stage in config.stages:
@@ -170,6 +172,12 @@ def plan_in(
     if result is None:
         raise InputError("PickUpConfig.stages is empty; expected at least one Stage.")
     return replace(result, cpu_s=planned), result.reason, made
+
+
+def within_limits(manipulator: Manipulator, q_arm: np.ndarray) -> np.ndarray:
+    """Measured joints (D,) whose noise or control error beyond a limit is taken off; larger excess stays, for errors."""
+    inside = np.clip(q_arm, manipulator.lower, manipulator.upper)
+    return np.where(np.abs(q_arm - inside) <= _MEASURED, inside, q_arm)
 
 
 def _world(obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting) -> PlanningWorld:
@@ -251,9 +259,8 @@ def go_home(robot: Robot, world: PlanningWorld, *, speed: float = 0.7, seed: int
     manipulator = robot.manipulator
     q_open = manipulator.hand.q_open
     robot.move_hand(q_open, duration_s=0.5)
-    state = robot.state()
     path = plan_path(
-        CollisionChecker(manipulator, world, q_open), state.q_arm,
+        CollisionChecker(manipulator, world, q_open), within_limits(manipulator, robot.state().q_arm),
         manipulator.q_home[manipulator.arm_dofs][None], seed=seed,
     )  # fmt: skip
     if not path.solved:
