@@ -33,6 +33,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, DemoResult
 def test_page_holds_every_section_and_loads_nothing(finished):
     _, result = finished
     page = result.report_path.read_text()
+    assert "From pose to lifted object" in page and "data:image/webp" in page
     for word in ("Grasps", "Contact maps", "Retrieval", "Latent space", "Object pose", "Measured quality", "Times"):
         assert word in page
     assert "torsional friction 0.02 m" in page and "stand-ins of published size" in page
@@ -51,6 +52,7 @@ def test_figures_are_measured(finished):
     assert figures["hand_surface_mean_mm"] < 0.01  # encoded grasps decode exactly
     assert 0.0 < figures["hand_surface_complete_mean_mm"] < 5.0
     assert figures["pose_add_s_median_mm"] < 3.0
+    assert figures["lift_trials"] == 1.0 and figures["lifted"] in (0.0, 1.0)
     assert figures["demo_wall_s"] > 0.0 and figures["peak_rss_gb"] > 0.05
 
 

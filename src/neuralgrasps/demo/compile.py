@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from neuralgrasps.demo.execution import compile_pictures, compile_planning
 from neuralgrasps.demo.measure import pose_trials
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.geometry.sdf_grid import SdfGrid
@@ -45,10 +46,12 @@ def load_and_compile(sources: Sequence[str], *, workers: int) -> Iterator[tuple[
             yield 0, first
         else:
             yield -1, None
-    rest = [(_closing, first), *((load_object, source) for source in sources[1:]), (_pose, first), (_fit, first)]
-    for index, result in run_tasks(_call, rest, workers=workers):
-        loaded = 1 <= index < len(sources)
-        yield (index, result) if loaded else (-1, None)
+    loading = [(load_object, source) for source in sources[1:]]
+    longest = [(compile_planning, first), (_closing, first)]
+    others = [(_pose, first), (_fit, first), (compile_pictures, first)]
+    for index, result in run_tasks(_call, [*longest, *loading, *others], workers=workers):
+        source = index - len(longest) + 1
+        yield (source, result) if 1 <= source < len(sources) else (-1, None)
 
 
 def _call(function: Callable[..., Any], *arguments: Any) -> Any:

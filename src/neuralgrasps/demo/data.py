@@ -11,6 +11,7 @@ import numpy as np
 
 from neuralgrasps.dataset.collect import PairRecord
 from neuralgrasps.dataset.read import GraspDataset
+from neuralgrasps.demo.execution import Lift
 from neuralgrasps.demo.latent import LatentMeasures
 from neuralgrasps.demo.measure import GraspMeasures, PoseTrial
 from neuralgrasps.demo.meter import Stage
@@ -84,6 +85,12 @@ class DemoData:
     trained: TrainResult
     latent: LatentMeasures
     poses: Sequence[PoseTrial]
+    lifts: Sequence[Lift] = ()
+
+    @property
+    def lifted(self) -> int:
+        """Objects that the arm lifted at the first attempt."""
+        return sum(bool(lift.record["success"]) for lift in self.lifts)
 
     @property
     def are_scans(self) -> bool:
@@ -125,6 +132,8 @@ def demo_figures(data: DemoData, stages: Sequence[Stage]) -> dict[str, float]:
         "pose_add_s_median_mm": float(np.median([e.add_s_m for e in errors]) * 1e3),
         "pose_rotation_median_deg": float(np.rad2deg(np.median([e.rotation_rad for e in errors]))),
         "pose_wall_median_s": float(np.median([t.wall_s for t in data.poses])),
+        "lift_trials": float(len(data.lifts)),
+        "lifted": float(data.lifted),
     }
 
 
@@ -139,6 +148,14 @@ def summary_lines(data: DemoData, figures: Mapping[str, float]) -> tuple[str, ..
         f"retrieval of held-out grasps seen in one depth view: {figures['retrieval_gap']:.4f} below the best possible",
         f"object pose from one depth view, nothing in front: surface {figures['pose_add_s_median_mm']:.2f} mm (ADD-S), "
         f"rotation {figures['pose_rotation_median_deg']:.2f} degrees off (medians of {len(data.poses)})",
+        *(
+            [
+                f"{data.lifts[0].robot} arm in simulation, camera to lift, one trial each: "
+                f"{data.lifted} of {len(data.lifts)} objects lifted"
+            ]
+            if data.lifts
+            else []
+        ),
         f"{figures['demo_wall_s']:.0f} s on {data.config.workers or available_cpus()} processes, "
         f"{figures['peak_rss_gb']:.1f} GB, on {platform.machine()}",
     ]

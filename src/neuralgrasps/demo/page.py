@@ -38,6 +38,7 @@ from neuralgrasps.report.content import (
     StageTime,
 )
 from neuralgrasps.report.evaluation_page import latent_map
+from neuralgrasps.report.execution_page import TRIAL_TEXT
 from neuralgrasps.report.page import write_report
 from neuralgrasps.report.pose_overlay import TRUE_COLOUR, DrawnModel, render_pose_overlay, render_relief
 
@@ -51,6 +52,12 @@ _PHYSICS = (
     "less than 5 cm and turn less than 15 degrees (the DexGraspBench protocol; no gravity, the hand's base welded). "
     "ε is the radius of the largest ball of wrenches that the contacts resist; overlap is how deep hand and true "
     "mesh cut into each other; slip is how far the object moved in the trial."
+)
+
+
+_LIFTING = (
+    "One trial per object, simulated from the camera to the lift, with the grasps of this page. The scene is drawn at "
+    "random among those that a plan exists for."
 )
 
 
@@ -114,6 +121,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
                 latent_map(m, book, {i: pictures[slot] for i, slot in mapped.items()}) for m in data.latent.maps_2d
             ),
             poses=poses,
+            executions=tuple(lift.figure for lift in data.lifts),
             synthesis=synthesis_rows(data),
             dataset=dataset_facts(data),
             model=model_rows(data),
@@ -124,7 +132,8 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
             tables=(inference_table(data), correction_table(data), paper_table(data), pose_table(data)),
             histograms=histograms(data),
             notes=_notes(data),
-            section_texts={"grasps": _PHYSICS},
+            section_texts={"grasps": _PHYSICS, "executions": f"{_LIFTING} {TRIAL_TEXT}"},
+            section_titles={"executions": "From pose to lifted object"},
         ),
         data.config.out / "report.html",
     )

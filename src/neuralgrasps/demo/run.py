@@ -9,6 +9,7 @@ from neuralgrasps.dataset.collect import collect_grasps
 from neuralgrasps.dataset.read import read_dataset
 from neuralgrasps.demo.compile import load_and_compile
 from neuralgrasps.demo.data import DemoConfig, DemoData, DemoResult, demo_figures, summary_lines
+from neuralgrasps.demo.execution import lift_objects
 from neuralgrasps.demo.latent import measure_latent
 from neuralgrasps.demo.measure import measure_grasps, pose_trials
 from neuralgrasps.demo.meter import Meter
@@ -77,9 +78,13 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
                 list(objects.values()), views=config.pose_views, seed=config.seed,
                 progress=lambda *a: say("object poses", *a),
             )  # fmt: skip
+        with meter.stage("lifting"):
+            lifts = lift_objects(
+                objects, kept, seed=config.seed, workers=workers, progress=lambda *a: say("lifting", *a)
+            )
         data = DemoData(
             config=config, hands=hands, objects=objects, grasp_sets=kept, records=records, grasps=grasps,
-            dataset=dataset, trained=trained, latent=latent, poses=poses,
+            dataset=dataset, trained=trained, latent=latent, poses=poses, lifts=lifts,
         )  # fmt: skip
         path = write_page(data, meter, workers=workers, progress=lambda *a: say("pictures", *a))
     figures = demo_figures(data, meter.stages)

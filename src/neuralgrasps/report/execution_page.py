@@ -20,7 +20,7 @@ CAUSES = {
     "push-away": "the object moved more than 2 cm before the hand closed, or was not in the hand after it",
     "slip": "the object was in the hand after closing, and was lost or sank later",
 }
-_TEXT = (
+TRIAL_TEXT = (
     "Each trial, in the order of what happened: what the depth camera saw, with the true pose in white and the pose "
     "that was used in colour; before the straight approach; the hand closed; and the end, two seconds after the lift. "
     "Robot and objects are drawn where the simulation had them."
@@ -62,7 +62,7 @@ def execution_report(
         tables=(*_cause_tables(records), _trial_table(records)),
         notes=(*NOTES, *notes),
         section_titles={"numbers": "All trials", "notes": "What this means"},
-        section_texts={"executions": _TEXT},
+        section_texts={"executions": TRIAL_TEXT},
     )
 
 
