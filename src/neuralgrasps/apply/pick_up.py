@@ -95,7 +95,7 @@ def propose_pick(
     robot: Robot,
     obj: ObjectModel,
     *,
-    grasps: GraspSet | None,
+    grasps: GraspSet | None = None,
     others: Sequence[ObjectModel] = (),
     estimator: PoseEstimator | None = None,
     refiner: PoseRefiner | None = None,
