@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from neuralgrasps.apply.robot import RobotState
-from neuralgrasps.apply.table_scenes import TableScene, scene_world, table_plane
+from neuralgrasps.apply.table_scenes import TableScene, camera_beside, scene_world, table_plane
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.geometry.plane import Plane
@@ -25,6 +27,7 @@ class SimulatedRobot:
     """A robot at a table with objects, and what only a simulator knows: true poses and contacts.
 
     Args:
+        manipulator: the robot; an arm without a camera gets one beside the table.
         scene: table and objects. config: of the physics. record_every_s: states kept for pictures; None: none.
         camera_off_m, camera_off_rad: how far the camera is from where the robot believes it to be, in a direction and
             about an axis that the seed draws once: an error of calibration.
@@ -42,6 +45,8 @@ class SimulatedRobot:
         camera_off_rad: float = 0.0,
         seed: int = 0,
     ) -> None:
+        if manipulator.arm.camera is None:
+            manipulator = replace(manipulator, arm=replace(manipulator.arm, camera=camera_beside(manipulator.arm)))
         self._manipulator = manipulator
         self._X_CC = _camera_error(camera_off_m, camera_off_rad, seed)
         self.scene, self.seed = scene, seed

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neuralgrasps.arms.arm import Arm
+from neuralgrasps.arms.arm import Arm, ArmCamera
 from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.camera import Intrinsics, look_at
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.geometry.se3_numpy import inverse_np, make_transform_np, rpy_matrix, transform_points_np
@@ -22,6 +23,7 @@ _NEAR, _FAR, _SIDE = 0.45, 0.80, 0.35  # the work area, in reaches of the arm fr
 _RIM_M = 0.15  # of table around it
 _GAP_M = 0.015  # between things that stand side by side
 _DRAWS = 400
+_STAND_M = (0.35, 0.15, 0.75)  # of a camera beside the table: beyond the work area, and above the table
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +69,14 @@ def scene_table(arm: Arm) -> BoxObstacle:
         centre=((area.near_m + area.far_m) / 2, 0.0),
         size=(area.far_m - area.near_m + 2 * _RIM_M, 2 * (area.side_m + _RIM_M)),
     )
+
+
+def camera_beside(arm: Arm) -> ArmCamera:
+    """A camera on a stand beyond the table, to the arm's left, that looks down at the whole work area."""
+    area = work_area(arm)
+    middle = np.array([(area.near_m + area.far_m) / 2, 0.0, arm.table_height_m])
+    eye = middle + np.array([area.far_m - middle[0] + _STAND_M[0], area.side_m + _STAND_M[1], _STAND_M[2]])
+    return ArmCamera(link=0, X_LC=look_at(eye, middle), intrinsics=Intrinsics.from_fov(np.deg2rad(45.0), 640, 480))
 
 
 def draw_scene(objects: Sequence[ObjectModel], arm: Arm, *, seed: int) -> TableScene:

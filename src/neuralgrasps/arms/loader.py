@@ -15,12 +15,14 @@ from neuralgrasps.errors import RobotDescriptionError, unknown_name
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.loader import convex_parts
 from neuralgrasps.kinematics.description import RobotDescription
+from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.subtree import without_links_beyond
-from neuralgrasps.kinematics.tree import PRISMATIC, KinematicTree
+from neuralgrasps.kinematics.tree import PRISMATIC, REVOLUTE, KinematicTree
 
 TURN = 2 * np.pi  # a continuous joint may turn once to either side
 DEFAULT_SPEED = 1.0  # rad/s, where a file gives none: below that of every arm in common use
 DEFAULT_TRAVEL_SPEED = 0.1  # m/s, the Fetch torso's
+_TABLE_BELOW_SHOULDER_M = 0.35
 RISE_TIME = 0.5  # s to reach the largest speed, where nothing states the acceleration
 
 
@@ -50,6 +52,7 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
     acceleration = _accelerations(tree, notes, velocity, assumed)
     joints = _planned(name, tree, link, notes)
     X_FM = find_face(tree, parts, link) if notes.X_FM is None else notes.X_FM
+    q_home = _home(tree, parts, joints, notes)
     return Arm(
         name=name,
         tree=tree,
@@ -58,11 +61,11 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
         X_FM=X_FM,
         joints=joints,
         continuous=continuous,
-        q_home=_home(tree, parts, joints, notes),
+        q_home=q_home,
         velocity=velocity,
         acceleration=acceleration,
         camera=None if notes.camera is None else _camera(name, tree, notes.camera),
-        table_height_m=notes.table_height_m or 0.0,
+        table_height_m=_table_height(tree, link, q_home) if notes.table_height_m is None else notes.table_height_m,
         licence=notes.licence or "not stated",
         provenance=notes.provenance or description.source.name,
         extra={
@@ -70,6 +73,15 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
             "assumed": "\n".join(assumed),
         },
     )
+
+
+def _table_height(tree: KinematicTree, flange: int, q_home: np.ndarray) -> float:
+    """A table 35 cm below the second turning joint, the shoulder; at the base of an arm that stands on its table."""
+    chain = [flange]
+    while tree.parents[chain[-1]] >= 0:
+        chain.append(int(tree.parents[chain[-1]]))
+    turning = [i for i in reversed(chain) if tree.joint_types[i] == REVOLUTE]
+    return max(0.0, float(forward_numpy(tree, q_home)[turning[1], 2, 3]) - _TABLE_BELOW_SHOULDER_M)
 
 
 def _check_limits(name: str, description: RobotDescription) -> None:
