@@ -175,7 +175,7 @@ def plan_in(
 
 
 def within_limits(manipulator: Manipulator, q_arm: np.ndarray) -> np.ndarray:
-    """Measured joints (D,) without the little that noise takes them beyond a limit; a larger excess stays, as an error."""
+    """Measured joints (D,) without what noise takes them beyond a limit; a larger excess stays, as an error."""
     inside = np.clip(q_arm, manipulator.lower, manipulator.upper)
     return np.where(np.abs(q_arm - inside) <= _MEASURED, inside, q_arm)
 
