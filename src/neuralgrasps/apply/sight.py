@@ -22,7 +22,7 @@ from neuralgrasps.perception.pose import PoseResult, estimate_pose
 from neuralgrasps.perception.table import TableFit, find_table
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject
 
-_ROBOT_M = 0.02  # pixels so near to the robot's own surface, or in front of it, are the robot
+_ROBOT_M = 0.02  # pixels whose depth is so near to that of the robot's own surface are the robot
 _ROBOT_RIM = 2  # pixels around it
 _BEYOND_M, _TOWARDS_M = 0.30, 0.03  # how far a table is taken to go on beyond what is seen of it, and to the robot
 _LEAST_PIXELS = 200  # of something that may be the object asked for

@@ -24,7 +24,7 @@ _NOTES = {
     "collisions": "of paths_checked executed paths (transfer and approach), those that touch anything but the object "
     "when checked again each millimetre with exact shapes in the world they were planned in",
     "trials_per_min": "60 x workers / mean wall time of a trial (ours, with its retry), other work beside it",
-    "clutter": "five objects at least 15 mm apart, picked from near to far, each with a new look and then taken away. "
+    "clutter": "five objects at least 15 mm apart, picked from near to far, each with a new look and then taken away."
     " The names of the objects are known, their places are not",
 }
 

@@ -47,8 +47,7 @@ class ExecuteBench:
     """All scenes and trials, in an order that does not depend on the number of workers.
 
     Attributes:
-        absent: pose methods that could not be run, and why. workers: processes.
-        single_wall_s: wall time of the part with single objects and Fetch; worker_wall_s: the trials' own, summed.
+        absent: pose methods that could not be run, and why. workers: processes. wall_s: of all of it.
     """
 
     scenes: list[SceneRecord] = field(default_factory=list)

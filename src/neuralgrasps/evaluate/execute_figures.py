@@ -135,7 +135,7 @@ def _scene_rows(scenes: Sequence[SceneRecord]) -> list[dict[str, Any]]:
     for pair, name in dict.fromkeys((s.pair, s.object) for s in scenes):
         own = [s for s in scenes if (s.pair, s.object) == (pair, name)]
         solved = [s for s in own if _solved(s)]
-        cpu = [1e3 * s.plan_cpu_s for s in solved] or [float("nan")]
+        cpu = [1e3 * s.plan_cpu_s for s in solved if np.isfinite(s.plan_cpu_s)] or [float("nan")]
         reasons = Counter(r for s in own for r in s.reasons)
         rows.append(
             {
