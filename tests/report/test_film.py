@@ -66,7 +66,15 @@ def trial(robot: Manipulator, make_object: MakeObject) -> Trial:
         phases=PHASES,
     )  # fmt: skip
     pick = PickResult(
-        plan=a_plan(robot), reason="", counts={}, blocked=False, tried=3, complete=True, cpu_s=0.0421, seed=0
+        plan=a_plan(robot),
+        reason="",
+        counts={},
+        blocked=False,
+        tried=3,
+        complete=True,
+        cpu_s=0.0421,
+        proof_cpu_s=0.0,
+        seed=0,
     )
     attempt = Attempt(
         X_BO_true=scene.objects[0].X_BO, X_BO_estimate=scene.objects[0].X_BO, pose_right=True, pose_error_mm=1.24,
