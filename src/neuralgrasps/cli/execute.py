@@ -282,6 +282,8 @@ def _write(
         if shown:
             written["video"] = str(video)
             terminal.say(f"Video: {video} ({counted(shown, 'trial')})")
+        else:
+            terminal.say("No video was written: nothing moved in any trial.")
     if report is not None:
         from neuralgrasps.cli.execute_files import write_execution_page
 
