@@ -11,15 +11,16 @@ from neuralgrasps.cli.models import open_objects, source_text, warn_of_damage, w
 from neuralgrasps.cli.terminal import Terminal
 
 _NOTES = {
-    "scenes": "one object at a random place of the work area, turned at random, in a random stable pose; scenes that no "
-    "plan solves, with the true pose and in a far longer run, are drawn again and counted (infeasible_share). "
+    "scenes": "one object at a random place of the work area, turned at random, in a random stable pose; scenes that "
+    "no plan solves, with the true pose and in a far longer run, are drawn again and counted (infeasible_share). "
     "All methods see the same scenes with the same sensor noise",
-    "success": "lifted by 0.2 m at the first attempt, at least 0.16 m up after holding for 2 s, and neither hand nor arm "
-    "touched the table, nor anything a neighbour, with more than 1 N; success_retry: within two attempts",
+    "success": "lifted by 0.2 m at the first attempt, at least 0.16 m up after holding for 2 s, and neither hand nor "
+    "arm touched the table, nor anything a neighbour, with more than 1 N; success_retry: within two attempts",
     "success_true": "planned with the simulator's own poses: the upper bound. success_baseline, success_contact: "
-    "Khargonkar et al. 2022, supplement, Eq. 1 and 2, on our mask's points; Eq. 2 with the gripper at the planned grasp",
+    "Khargonkar et al. 2022, supplement, Eq. 1 and 2, on our mask's points; Eq. 2 with the gripper at the planned "
+    "grasp",
     "plan_median_ms": "processor time, one thread, until the first complete plan among all candidates, true poses, "
-    "single scenes; grasps that are made for a table anew are not in it",
+    "single scenes; making grasps for a table anew and proving in physics that they lift are not in it",
     "plan_found": "share of the scenes that some plan solves where the planner, as it is used, found one",
     "collisions": "of paths_checked executed paths (transfer and approach), those that touch anything but the object "
     "when checked again each millimetre with exact shapes in the world they were planned in",

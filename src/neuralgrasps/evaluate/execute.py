@@ -307,6 +307,6 @@ def _cause(attempt: Attempt) -> tuple[Cause, str]:
     if attempt.hits:
         return "collision", "; ".join(attempt.hits)
     if attempt.pushed_m > _PUSHED_M or not attempt.touched:
-        missed = "" if attempt.touched else ", and the hand closed beside it"
+        missed = "" if attempt.touched else ", and the closed hand did not touch it"
         return "push-away", f"it was pushed by {1e3 * attempt.pushed_m:.0f} mm before the hand closed{missed}."
     return "slip", f"the hand held it after closing, but it rose by {1e3 * attempt.lifted_m:.0f} mm only."
