@@ -123,7 +123,7 @@ def test_hits_are_what_should_not_touch(pick_scene, brick) -> None:
     assert simulated.hits(0, least_n=1.0) == ()  # the hand may touch what it picks
     assert simulated.hits(-1, least_n=1e6) == ()
     simulated.phase("after")
-    assert simulated.hits(-1, least_n=1e6) == ()
+    assert simulated.hits(-1, least_n=1.0) == ()
 
 
 def test_closing_on_nothing_is_no_hit_and_touches_nothing(pick_scene) -> None:
