@@ -14,7 +14,7 @@ from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.synthesis.candidates import Candidates, GraspProblem, close_and_assess
-from neuralgrasps.synthesis.finish import TOUCH_M
+from neuralgrasps.synthesis.contacts import TOUCH_M
 from neuralgrasps.synthesis.settle import TOLERANCE_M, draw_apart
 
 LARGEST_RETREAT_M = 0.03

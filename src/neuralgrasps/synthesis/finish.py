@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.compiled import njit
-from neuralgrasps.grasps.contact import find_contacts
 from neuralgrasps.grasps.epsilon import epsilon
 from neuralgrasps.grasps.force_qp import contact_forces
 from neuralgrasps.grasps.grasp_set import GraspSet, empty_grasps
@@ -18,12 +17,13 @@ from neuralgrasps.grasps.wrench_space import grasp_wrenches
 from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.sim.protocols import get_protocol
-from neuralgrasps.synthesis.candidates import CONE_EDGES, CONTACTS_PER_LINK, Candidates, GraspProblem
+from neuralgrasps.synthesis.candidates import CONE_EDGES, Candidates, GraspProblem
 from neuralgrasps.synthesis.clusters import hand_clearance
+from neuralgrasps.synthesis.contacts import contacts_of
 from neuralgrasps.synthesis.settle import settle
 from neuralgrasps.synthesis.squeeze import joint_scale, pregrasp_joints, squeeze_joints
+from neuralgrasps.synthesis.strength import lift_torques
 
-TOUCH_M = 1.0e-3  # points nearer than this are contacts of a finished grasp
 _OPENING_STEPS = 4
 
 
@@ -35,6 +35,7 @@ def finish_grasps(
     seed: int,
     config: Mapping[str, str],
     threads: int = 1,
+    lift: bool = False,
 ) -> GraspSet:
     """Candidates settled on the object, with contacts, labels, squeeze and pre-grasp, in order.
 
@@ -44,6 +45,7 @@ def finish_grasps(
         problem: the pair; closed: its candidates.
         protocol: the physics protocol whose servos the squeeze is meant for.
         seed, config: provenance. threads: of the settling; the result does not depend on it.
+        lift: squeeze so that the object can be lifted off the problem's support, instead of evenly.
     """
     hand, obj = problem.hand, problem.obj
     closed, idle = _without_overlap(problem, *settle(problem, closed, threads=threads))
@@ -64,9 +66,14 @@ def finish_grasps(
             problem.length,
         )  # fmt: skip
         residual[i] = balance.residual
+        torques = None
+        if lift:
+            torques = lift_torques(
+                problem, closed.X_OH[i], X_HL[i], points[i, :found], normals[i, :found], links[i, :found]
+            )
         squeeze[i] = squeeze_joints(
             problem, closed.q[i], closed.X_OH[i], X_HL[i], (points[i, :found], links[i, :found]), balance,
-            stiffness=stiffness, idle=idle[i],
+            stiffness=stiffness, idle=idle[i], torques=torques,
         )  # fmt: skip
     kinds = contact_kinds(hand, links)
     grasps = GraspSet(
@@ -107,25 +114,6 @@ def _without_overlap(problem: GraspProblem, closed: Candidates, idle: np.ndarray
 def kinds_of(problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray) -> ContactKinds:
     """Labels of N grasps by the links that touch."""
     return contact_kinds(problem.hand, contacts_of(problem, X_OH, X_HL)[2])
-
-
-def contacts_of(problem: GraspProblem, X_OH: np.ndarray, X_HL: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Contacts of N settled grasps: points of the hand, 2 mm apart, nearer than `TOUCH_M`, at most 3 a link.
-
-    Returns:
-        points (N, C, 3), outward normals (N, C, 3) and links (N, C), padded with nan, nan and -1.
-    """
-    count, room = len(X_OH), problem.hand.tree.num_links * CONTACTS_PER_LINK
-    points, normals = np.full((count, room, 3), np.nan), np.full((count, room, 3), np.nan)
-    links = np.full((count, room), -1, np.int32)
-    for i in range(count):
-        found = find_contacts(
-            *problem.sdf_arrays, problem.hand_probe, X_OH[i], X_HL[i], TOUCH_M, CONTACTS_PER_LINK,
-            points[i], normals[i], links[i],
-        )  # fmt: skip
-        points[i, found:], normals[i, found:], links[i, found:] = np.nan, np.nan, -1
-    used = int((links >= 0).sum(axis=1).max(initial=0))
-    return points[:, :used], normals[:, :used], links[:, :used]
 
 
 def _quality(problem: GraspProblem, points: np.ndarray, normals: np.ndarray) -> float:

@@ -77,6 +77,7 @@ def squeeze_joints(
     *,
     stiffness: np.ndarray,
     idle: np.ndarray,
+    torques: np.ndarray | None = None,
 ) -> np.ndarray:
     """Position targets (J,) whose servo torques press on the object and push it away as little as they can.
 
@@ -93,6 +94,7 @@ def squeeze_joints(
         q: (J,) closed posture; X_OH (4, 4); X_HL (L, 4, 4) link poses at q.
         contacts: points (C, 3) in O and links (C,), without padding; C >= 1. balance: the forces there.
         stiffness: (J,) servo gain, N m/rad or N/m. idle: (J,) joints of fingers that touch nothing.
+        torques: (J,) to exert in place of those of `balance`; a jaw heeds neither.
     """
     hand, closing = problem.hand, np.sign(problem.hand.closing_rate) * ~idle
     most = EFFORT_SHARE * hand.tree.effort
@@ -100,7 +102,7 @@ def squeeze_joints(
         past = joint_scale(hand, JAW_SQUEEZE_RAD, JAW_SQUEEZE_M)
         return q + GAP_M * problem.closing.unit + np.clip(closing * past * stiffness, -most, most) / stiffness
     points, links = contacts
-    torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links)
+    torque = contact_torques(hand, X_OH, X_HL, points, balance.forces, links) if torques is None else torques.copy()
     torque *= EFFORT_SHARE / max(np.abs(torque / hand.tree.effort).max(), 1e-9)
     torque += closing * CLOSING_SHARE * hand.tree.effort
     return q + np.clip(torque, -most, most) / stiffness

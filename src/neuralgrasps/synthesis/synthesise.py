@@ -30,6 +30,7 @@ from neuralgrasps.synthesis.propose import Proposals, propose_dexterous, propose
 from neuralgrasps.synthesis.quotas import Kind, Quotas, Stopwatch
 from neuralgrasps.synthesis.refine import assess_all, refine
 from neuralgrasps.synthesis.select import diverse_order
+from neuralgrasps.synthesis.strength import is_heavy, strengthen
 from neuralgrasps.synthesis.support import Support
 
 _LENGTHS = ("contact_threshold_m", "max_penetration_m", "torsion_m", "pad_depth_m")
@@ -145,7 +146,9 @@ def synthesise(
         threads: threads of this process; the result does not depend on it.
         progress: called with (validated so far, wanted).
         support: what the object lies on: closed hands, the same a little more open, and their straight way back keep
-            clear of it, and jaws close on no more than 97 % of their aperture. The physics trial stays the same.
+            clear of it, and jaws close on no more than 97 % of their aperture. The physics trial stays the same. Of an
+            object that is heavy for the hand (see `strength`), strong grasps are searched for in place of those with a
+            large epsilon, and their squeeze is for lifting it.
     Returns:
         A result; `converged` is False, with a reason, when fewer grasps were found.
     Source:
@@ -170,10 +173,12 @@ def synthesise(
         proposals += len(everything)
         outcomes += np.bincount(everything.outcome, minlength=len(OUTCOMES))
         valid = everything.take(everything.outcome == VALID)
+        heavy = is_heavy(problem, valid)
+        search = _strengthen_diverse if heavy else _refine_diverse
         for kind, pool in quotas.pools(problem, valid).items():
             with watch.stage("refine"):
-                refined = _refine_diverse(problem, pool, config, rng, wanted=quotas.missing(kind), threads=threads)
-            _prove(problem, refined, kind, quotas, config, watch, seed=seed, threads=threads)
+                refined = search(problem, pool, config, rng, wanted=quotas.missing(kind), threads=threads)
+            _prove(problem, refined, kind, quotas, config, watch, seed=seed, threads=threads, lift=heavy)
             if progress is not None:
                 progress(quotas.held, config.count)
         if quotas.complete or (round_index >= 2 and outcomes[VALID] == 0):
@@ -257,6 +262,23 @@ def _refine_diverse(
     return refined.take(diverse_order(problem.hand, refined.X_OH, refined.q, start=int(refined.epsilon.argmax())))
 
 
+def _strengthen_diverse(
+    problem: GraspProblem,
+    valid: Candidates,
+    config: SynthesisConfig,
+    rng: np.random.Generator,
+    *,
+    wanted: int,
+    threads: int,
+) -> Candidates:
+    """The strong and diverse ones, improved by a local search for strength, the strongest first."""
+    if len(valid) == 0:
+        return valid
+    return strengthen(
+        problem, valid, niches=round(config.spare * wanted) + _MORE_NICHES, rng=rng, threads=threads,
+    )  # fmt: skip
+
+
 def _prove(
     problem: GraspProblem,
     refined: Candidates,
@@ -267,6 +289,7 @@ def _prove(
     *,
     seed: int,
     threads: int,
+    lift: bool,
 ) -> None:
     """Finish candidates and try them in physics, in order, until none of this kind is missing."""
     texts = ((name, "" if value is None else value) for name, value in asdict(config).items())
@@ -279,8 +302,9 @@ def _prove(
         done += len(rows)
         with watch.stage("settle and check"):
             grasps = finish_grasps(
-                problem, refined.take(rows), protocol=config.protocol, seed=seed, config=provenance, threads=threads
-            )
+                problem, refined.take(rows), protocol=config.protocol, seed=seed, config=provenance, threads=threads,
+                lift=lift,
+            )  # fmt: skip
             if problem.support is not None:
                 grasps = grasps[problem.support.allows(problem.hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)]
             chosen = quotas.of_kind(grasps, kind)
