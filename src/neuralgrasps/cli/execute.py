@@ -34,6 +34,8 @@ def execute(
     objects: ObjectNames,
     arm: str = "fetch",
     hand: OptionalText = None,
+    flange: OptionalText = None,
+    missing_meshes: Literal["error", "skip"] = "error",
     trials: int = 10,
     pose: Literal["ours", "true", "baseline", "contact"] = "ours",
     clutter: int = 0,
@@ -58,6 +60,8 @@ def execute(
         objects: names of objects, groups such as ycb7, mesh files or folders of them.
         arm: fetch, panda, or a URDF file.
         hand: name or file; default the arm's own.
+        flange: link of the arm's file that carries the hand, where it is not found.
+        missing_meshes: skip: leave out shapes whose mesh files are not there.
         trials: per object.
         pose: ours: from the depth camera; true: the simulator's; baseline, contact: the published estimates.
         clutter: further objects on the table.
@@ -70,13 +74,16 @@ def execute(
         report: HTML page with pictures of every trial.
         out: folder for numbers, pictures and plans (YAML) of every trial; a run that was stopped goes on from there.
     """
+    from neuralgrasps.cli.execute_trial import RobotChoice
+
     check_seed(seed)
     _check_numbers(trials, clutter, speed, workers)
     _check_places(video, report, out)
     begun = time.perf_counter()
-    arm, hand = source_text(arm), _default_hand(arm) if hand is None else source_text(hand)
+    hand = _default_hand(arm) if hand is None else source_text(hand)
+    robot = RobotChoice(arm=source_text(arm), hand=hand, flange=flange, missing_meshes=missing_meshes)
     with terminal.progress("reading the robot and the objects"):
-        _check_robot(arm, hand)
+        robot.open()  # refuse what cannot be opened before the work
         library, models = _open(terminal, objects, clutter)
     if grasps is not None:
         _check_grasps(grasps, hand, models)
@@ -84,13 +91,13 @@ def execute(
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) if out is None else out
         tasks = _tasks(
-            folder, library, models, arm=arm, hand=hand, trials=trials, pose=pose, clutter=clutter, grasps=grasps,
+            folder, library, models, robot=robot, trials=trials, pose=pose, clutter=clutter, grasps=grasps,
             retries=int(retry), seed=seed, pictures=report is not None or out is not None, film=video is not None,
             loop=report is not None, speed=speed,
         )  # fmt: skip
         records = _run(terminal, tasks, workers, kept=out is not None)
         result: dict[str, Any] = success_figures(records) | {
-            "arm": arm, "hand": hand, "pose": pose, "clutter": clutter, "seed": seed, "trials": records,
+            "arm": robot.arm, "hand": hand, "pose": pose, "clutter": clutter, "seed": seed, "trials": records,
             "wall_s": time.perf_counter() - begun,
         }  # fmt: skip
         show_trials(terminal, records, result)
@@ -126,24 +133,14 @@ def _default_hand(arm: str) -> str:
     Raises:
         InputError: another arm, whose hand must be given.
     """
-    from neuralgrasps.arms.zoo import arm_names, load_arm
+    from neuralgrasps.arms.zoo import arm_names
     from neuralgrasps.hands.zoo import hand_names
 
     if arm in hand_names() and arm in arm_names():
         return arm
-    load_arm(arm)  # says what is wrong with it first
     raise InputError(
         f"--hand is missing: arm '{arm}' comes with none. Give a name ({', '.join(hand_names())}) or a file."
     )
-
-
-def _check_robot(arm: str, hand: str) -> None:
-    """Refuse what cannot be opened before the work."""
-    from neuralgrasps.arms.mount import mount
-    from neuralgrasps.arms.zoo import load_arm
-    from neuralgrasps.hands.zoo import load_hand
-
-    mount(load_arm(arm), load_hand(hand))
 
 
 def _open(terminal: Terminal, objects: ObjectNames, clutter: int) -> tuple[Library, dict[str, ObjectModel]]:
@@ -227,7 +224,7 @@ def _tasks(
     from neuralgrasps.objects.zoo import load_object
 
     made = "" if grasps is None else hashlib.sha256(grasps.read_bytes()).hexdigest()
-    decide: dict[str, Any] = {k: options[k] for k in ("arm", "hand", "pose", "clutter", "retries", "seed")}
+    decide: dict[str, Any] = {k: options[k] for k in ("robot", "pose", "clutter", "retries", "seed")}
     around = [load_object(s).content_hash for s in library.sources] if options["clutter"] else []
     tasks: list[TrialTask] = []
     for target, (name, obj) in enumerate(models.items()):

@@ -7,7 +7,7 @@ import time
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from neuralgrasps.cli.terminal import plain
 from neuralgrasps.files import write_whole
@@ -25,13 +25,32 @@ _RECORD_EVERY_S = 0.04
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RobotChoice:
+    """An arm and a hand as typed: names or files. flange, missing_meshes: see `load_arm`."""
+
+    arm: str
+    hand: str
+    flange: str | None = None
+    missing_meshes: Literal["error", "skip"] = "error"
+
+    def open(self) -> Manipulator:
+        """The robot; errors say what is wrong with the files."""
+        from neuralgrasps.arms.mount import mount
+        from neuralgrasps.arms.zoo import load_arm
+        from neuralgrasps.hands.zoo import load_hand
+
+        arm = load_arm(self.arm, flange=self.flange, missing_meshes=self.missing_meshes)
+        return mount(arm, load_hand(self.hand, missing_meshes=self.missing_meshes))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TrialTask:
     """What a worker is asked for.
 
     Attributes:
         key: of everything that the result depends on; a finished trial with the same key is kept.
         folder: where its files go. library: objects, and the run whose grasps are used; target: its place there.
-        arm, hand: names or files. index, total: number of the trial, and how many there are in all.
+        robot: arm and hand. index, total: number of the trial, and how many there are in all.
         pose, retries, clutter, seed: as typed; clutter: further objects. grasps: grasp file, or None.
         pictures, film: draw them; loop: a small animation too. speed: of the film.
     """
@@ -40,8 +59,7 @@ class TrialTask:
     folder: Path
     library: Library
     target: int
-    arm: str
-    hand: str
+    robot: RobotChoice
     index: int
     total: int
     pose: PoseMethod
@@ -70,7 +88,7 @@ def kept_record(task: TrialTask) -> dict[str, Any] | None:
 
 def run_task(task: TrialTask) -> dict[str, Any]:
     """Run one trial; its numbers are written last, so that a trial with numbers is whole."""
-    manipulator, objects = _robot(task.arm, task.hand), _objects(task.library)
+    manipulator, objects = _robot(task.robot), _objects(task.library)
     obj = objects[task.target]
     begun = time.perf_counter()
     scene, redrawn, reasons = _scene(task, manipulator, obj, objects)
@@ -88,12 +106,8 @@ def run_task(task: TrialTask) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=2)
-def _robot(arm: str, hand: str) -> Manipulator:
-    from neuralgrasps.arms.mount import mount
-    from neuralgrasps.arms.zoo import load_arm
-    from neuralgrasps.hands.zoo import load_hand
-
-    return mount(load_arm(arm), load_hand(hand))
+def _robot(choice: RobotChoice) -> Manipulator:
+    return choice.open()
 
 
 def _objects(library: Library) -> tuple[ObjectModel, ...]:
@@ -154,7 +168,7 @@ def _record(
     task: TrialTask, obj: ObjectModel, trial: Trial | None, redrawn: int, reasons: tuple[str, ...]
 ) -> dict[str, Any]:
     common = {
-        "key": task.key, "object": obj.name, "trial": task.index, "arm": task.arm, "hand": task.hand,
+        "key": task.key, "object": obj.name, "trial": task.index, "arm": task.robot.arm, "hand": task.robot.hand,
         "pose": task.pose, "seed": task.seed, "scenes_without_plan": redrawn,
         "why_without_plan": sorted(set(reasons)),
     }  # fmt: skip
