@@ -1,6 +1,7 @@
 """Draw the README's picture from a finished demo: python docs/make_pictures.py out docs/images.
 
-Also the previews of the built-in arms: python docs/make_pictures.py arms src/neuralgrasps/assets/arms.
+Also the previews of the built-in arms: python docs/make_pictures.py arms src/neuralgrasps/assets/arms,
+and the picture of picks: python docs/make_pictures.py picks docs/images.
 """
 
 from __future__ import annotations
@@ -11,17 +12,20 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from neuralgrasps import load_hand, load_object
+from neuralgrasps import ExecuteConfig, draw_scene, execute_trial, load_hand, load_object
 from neuralgrasps.arms.mount import mount
 from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.report.arm_figure import render_arm
 from neuralgrasps.report.figures import render_grasp
+from neuralgrasps.report.film import open_film
+from neuralgrasps.report.trial_pictures import PICTURES, strip_pictures
 from neuralgrasps.report.views import view_direction
 
 HANDS = ("human", "allegro", "barrett", "panda", "fetch")
 CHOICES = {"mustard_bottle": (2, 0, 0, 2, 0), "tomato_soup_can": (0, 1, 0, 0, 0), "cracker_box": (2, 0, 0, 1, 0)}
 SIZE = (360, 280)
+PICKS = (("fetch", "fetch", "mustard_bottle", 14), ("panda", "allegro", "potted_meat_can", 3))
 
 
 def hero(demo: Path) -> Image.Image:
@@ -45,6 +49,20 @@ def arm_preview(arm_name: str, hands: tuple[str, str]) -> Image.Image:
     return on_paper(np.concatenate(row, axis=1))
 
 
+def picks() -> Image.Image:
+    """One row per pick: what the camera saw, before the approach, the hand closed, the end."""
+    rows = []
+    for arm_name, hand_name, object_name, seed in PICKS:
+        robot = mount(load_arm(arm_name), load_hand(hand_name))
+        scene = draw_scene([load_object(object_name)], robot.arm, seed=seed)
+        config = ExecuteConfig(retries=0, record_every_s=0.04)
+        trial = execute_trial(scene, robot, config=config, seed=seed)
+        pictures = strip_pictures(open_film(trial, robot))
+        row = [Image.fromarray(pictures[name]).resize((480, 360), Image.Resampling.LANCZOS) for name in PICTURES]
+        rows.append(np.concatenate([np.asarray(picture) for picture in row], axis=1))
+    return Image.fromarray(np.concatenate(rows, axis=0))
+
+
 def on_paper(picture: np.ndarray) -> Image.Image:
     """The picture (height, width, 4) uint8 RGBA on the paper of the pages."""
     image = Image.fromarray(picture)
@@ -58,5 +76,8 @@ if __name__ == "__main__":
     if source.name == "arms":
         for name, hands in (("fetch", ("fetch", "allegro")), ("panda", ("panda", "allegro"))):
             arm_preview(name, hands).save(target / name / "preview.png", optimize=True)
+        sys.exit()
+    if source.name == "picks":
+        picks().save(target / "execute.webp", quality=86, method=6)
         sys.exit()
     hero(source).save(target / "hero.webp", quality=88, method=6)
