@@ -20,10 +20,10 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.path import PathConfig
-from neuralgrasps.planning.pick import PickConfig, PickResult
+from neuralgrasps.planning.pick import NO_PATH, PickConfig, PickResult
 from neuralgrasps.seeds import child_rng, child_seed
 
-_DRAWS = 30  # scenes drawn, at most, for one that can be solved
+_DRAWS = 12  # scenes drawn, at most, for one that can be solved
 _LONG = PickUpConfig(
     stages=(Stage(200, 1.0),), plan=PickConfig(solutions=32, time_limit_s=20.0, path=PathConfig(time_limit_s=10.0))
 )
@@ -173,7 +173,7 @@ def _solved_in_long_run(manipulator: Manipulator, scene: TableScene, stored: Gra
         result, _ = _plan(manipulator, scene, stored, _LONG, child_seed(seed, "long run", again))
         if result is not None and result.plan is not None:
             return True
-        if result is None:  # no grasp clears the table: another seed of the path planner changes nothing
+        if result is None or not result.counts.get(NO_PATH):  # another seed of the path planner changes nothing
             return False
     return False
 

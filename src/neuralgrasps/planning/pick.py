@@ -26,6 +26,9 @@ from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.sim.grip import grip_target
 
+NO_PATH = "no path to the standoff"
+"""The count of `PickResult` for grasps that only the path planner failed at."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PickConfig:
@@ -299,7 +302,7 @@ class _Walk:
             if path.solved:
                 clearance_m = float(ranked.clearance_m[k])
                 return self._timed(index, X_BH, checker.q_hand, path.q, retreat.q[::-1], lift.q, clearance_m)
-            ended = "no path to the standoff"
+            ended = NO_PATH
         self.counts[ended] += 1
         return None
 
