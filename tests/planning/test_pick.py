@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -272,6 +272,31 @@ def test_limits_of_the_search_end_it(pick_scene) -> None:
     short = plan(time_limit_s=1e-9)  # the first is always tried
     assert short.plan is None and (short.tried, short.complete) == (1, False)
     assert "limit of 1e-09 s" in short.reason
+
+
+def test_a_way_that_is_blocked_only_in_its_middle_is_seen(pick_scene) -> None:
+    """A small post that the forearm passes on a long approach; both ends of it are free."""
+    robot, config = pick_scene.robot, PickConfig(standoff_m=0.2, solutions=1)
+    given = robot, pick_scene.plan.grasp
+    plan = plan_pick(*given, pick_scene.world, pick_scene.q_start, config=config, seed=3).plan
+    assert plan is not None
+    q, blocked = plan.approach.q[[0, len(plan.approach.q) // 2, -1]], None
+    middle = robot.hand_pose(q[1])[:3, 3]
+    for x, y, z in product((-0.3, -0.2, -0.1, 0.0, 0.1), (-0.2, -0.1, 0.0), (0.2, 0.3)):
+        post = block("post", tuple(middle + np.array([x, y, z])), (0.01, 0.01, 0.01))
+        world = replace(pick_scene.world, boxes=(*pick_scene.world.boxes, post))
+        checker = CollisionChecker(robot, world, plan.q_pregrasp, config=config.collision)
+        ends = checker.is_free(q[:1])[0] and checker.for_approach().is_free(q)[-1]
+        if (
+            ends
+            and not checker.for_approach().is_free(plan.approach.q).all()
+            and not checker.describe(pick_scene.q_start)
+        ):
+            blocked = world
+            break
+    assert blocked is not None
+    result = plan_pick(*given, blocked, pick_scene.q_start, config=config, seed=3)
+    assert result.plan is None and result.counts == {"no straight approach": 1}
 
 
 def test_a_start_in_collision_names_what_touches(pick_scene) -> None:
