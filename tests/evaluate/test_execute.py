@@ -208,6 +208,23 @@ def test_retries_end(pick_scene) -> None:
         assert len(trial.attempts) == 1 + retries and not trial.success_retry
 
 
+def test_a_simulation_that_broke_down_is_a_failure_and_not_retried(pick_scene, monkeypatch) -> None:
+    """As in the lift of the first attempt; a second look would find nothing."""
+    robot = SimulatedRobot(pick_scene.robot, pick_scene.scene)
+    robot.settle()
+    execute = robot.execute
+
+    def breaks_down(trajectory) -> None:
+        execute(trajectory)
+        robot.table_top.diverged = robot.table_top.phase == "lift"
+
+    monkeypatch.setattr(robot, "execute", breaks_down)
+    config = replace(ONCE, pose="ours", retries=1)
+    trial = run_trial(robot, pick_scene.scene, 0, grasps=pick_scene.grasps, paper=None, config=config, seed=0)
+    assert not trial.success and not trial.success_retry and len(trial.attempts) == 1
+    assert np.isnan(trial.attempts[0].lifted_m) and not trial.attempts[0].held
+
+
 def test_success_needs_no_retry(pick_scene) -> None:
     trial = trial_of(pick_scene, config=replace(ONCE, retries=2))
     assert trial.success and len(trial.attempts) == 1

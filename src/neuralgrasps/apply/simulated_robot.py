@@ -85,6 +85,11 @@ class SimulatedRobot:
             self.table_top.record(self._record_every_s)
         return not moved
 
+    @property
+    def diverged(self) -> bool:
+        """Whether the simulation broke down; nothing can be done with it any more."""
+        return self.table_top.diverged
+
     def phase(self, name: str) -> None:
         """Name what follows, for the recording; `hits` are those since then."""
         self.table_top.log.clear()

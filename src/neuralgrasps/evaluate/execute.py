@@ -175,7 +175,7 @@ def run_trial(
     for number in range(1 + config.retries):
         attempt = _attempt(robot, scene, target, grasps, paper, config, child_seed(seed, "attempt", number))
         attempts.append(attempt)
-        if attempt.success or number == config.retries:
+        if attempt.success or number == config.retries or robot.diverged:
             break
         if attempt.plan is not None:
             robot.phase("return")
