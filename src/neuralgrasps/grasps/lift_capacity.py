@@ -22,6 +22,7 @@ import numpy as np
 from neuralgrasps.compiled import njit
 from neuralgrasps.grasps.wrench_space import fill_grasp_wrenches
 from neuralgrasps.kinematics.jacobian import frame_jacobian
+from neuralgrasps.kinematics.tree import KinematicTree
 
 MOST_PRESS = 500.0  # N, sum of the normal forces of a grip; only grips that wedge themselves come near
 _TINY = 1e-9
@@ -42,6 +43,20 @@ class LiftGrip(NamedTuple):
     weight: float
     forces: np.ndarray
     torques: np.ndarray
+
+
+class Joints(NamedTuple):
+    """Arrays of a `KinematicTree` that Jacobians are made of: parents, types (L,), axes (L, 3), coupling (L, J)."""
+
+    parents: np.ndarray
+    joint_types: np.ndarray
+    axes: np.ndarray
+    coupling: np.ndarray
+
+
+def joints_of(tree: KinematicTree) -> Joints:
+    """The joints of a tree for the compiled functions here."""
+    return Joints(tree.parents, tree.joint_types, tree.axes, tree.coupling)
 
 
 @njit(cache=True, error_model="numpy")
@@ -155,11 +170,10 @@ def strongest_lift(wrenches, torques, effort, pull, most, press=MOST_PRESS):  # 
 
 
 @njit(cache=True, error_model="numpy")
-def edge_torques(tree, X_HL, X_OH, points, links, wrenches, com, length, per_contact, out):  # type: ignore[no-untyped-def]
+def edge_torques(joints, X_HL, X_OH, points, links, wrenches, com, length, per_contact, out):  # type: ignore[no-untyped-def]
     """out (W, J): joint torques that exert each edge's unit force, and its moment, on the object.
 
-    `tree` is anything with the arrays of a `KinematicTree`, a `PackedHand` for one; row i belongs to contact
-    i // per_contact.
+    `joints` is a `Joints`; row i belongs to contact i // per_contact.
     """
     jacobian = np.empty((6, out.shape[1]))
     point, force, moment = np.empty(3), np.empty(3), np.empty(3)
@@ -168,7 +182,9 @@ def edge_torques(tree, X_HL, X_OH, points, links, wrenches, com, length, per_con
             point[r] = 0.0
             for k in range(3):
                 point[r] += X_OH[k, r] * (points[c, k] - X_OH[k, 3])
-        frame_jacobian(tree.parents, tree.joint_types, tree.axes, tree.coupling, X_HL, links[c], point, jacobian)
+        frame_jacobian(
+            joints.parents, joints.joint_types, joints.axes, joints.coupling, X_HL, links[c], point, jacobian
+        )
         lx, ly, lz = points[c, 0] - com[0], points[c, 1] - com[1], points[c, 2] - com[2]
         for i in range(c * per_contact, (c + 1) * per_contact):
             w = wrenches[i]
@@ -190,29 +206,49 @@ def edge_torques(tree, X_HL, X_OH, points, links, wrenches, com, length, per_con
 
 @njit(cache=True, error_model="numpy")
 def lift_grip(  # type: ignore[no-untyped-def]
-    tree, X_HL, X_OH, points, normals, links, com, up, most, effort, friction, torsion, length, edges=8
+    joints, X_HL, X_OH, points, normals, links, com, up, most, effort, friction, torsion, length, edges=8
 ):
     """The `LiftGrip` of one closed hand.
 
     Args:
-        tree: anything with the arrays of a `KinematicTree`. X_HL: (L, 4, 4) link poses. X_OH: (4, 4) hand in O.
+        joints: see `joints_of`. X_HL: (L, 4, 4) link poses. X_OH: (4, 4) hand in O.
         points, normals (C, 3), links (C,): contacts, in O, normals outward from the object; no padding.
         com: (3,) centre of mass in O. up: (3,) unit direction against the weight. most: N.
         effort: (J,) limits, N m or N. friction, torsion, length, edges: as for `grasp_wrenches`; torsion > 0.
     """
-    contacts, joints = len(points), len(effort)
+    contacts, motors = len(points), len(effort)
     rows = edges + (2 if torsion > 0.0 else 0)
-    wrenches, torques = np.empty((contacts * rows, 6)), np.empty((contacts * rows, joints))
+    wrenches, torques = np.empty((contacts * rows, 6)), np.empty((contacts * rows, motors))
     fill_grasp_wrenches(points, normals, contacts, com, friction, edges, torsion, length, wrenches)
-    edge_torques(tree, X_HL, X_OH, points, links, wrenches, com, length, rows, torques)
+    edge_torques(joints, X_HL, X_OH, points, links, wrenches, com, length, rows, torques)
     pull = np.zeros(6)
     for k in range(3):
         pull[k] = -up[k]
     weight, f = strongest_lift(wrenches, torques, effort, pull, most)
-    forces, torque = np.zeros((contacts, 3)), np.zeros(joints)
+    forces, torque = np.zeros((contacts, 3)), np.zeros(motors)
     for i in range(contacts * rows):
         for k in range(3):
             forces[i // rows, k] += f[i] * wrenches[i, k]
-        for j in range(joints):
+        for j in range(motors):
             torque[j] += f[i] * torques[i, j]
     return LiftGrip(weight, forces, torque)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def lift_weights(  # type: ignore[no-untyped-def]
+    joints, X_HL, X_OH, points, normals, links, com, up, most, effort, friction, torsion, length, out
+):
+    """out (N,): the weight of `lift_grip` of each of N hands, N.
+
+    X_HL (N, L, 4, 4), X_OH (N, 4, 4), points, normals (N, C, 3); links (N, C), -1 behind the last contact of a hand.
+    """
+    for i in range(X_OH.shape[0]):
+        count = 0
+        while count < links.shape[1] and links[i, count] >= 0:
+            count += 1
+        out[i] = 0.0
+        if count > 0:
+            out[i] = lift_grip(
+                joints, X_HL[i], X_OH[i], points[i, :count], normals[i, :count], links[i, :count], com, up, most,
+                effort, friction, torsion, length,
+            ).weight  # fmt: skip

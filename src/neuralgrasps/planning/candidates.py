@@ -15,12 +15,21 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.surface import HandSurface, sample_hand_surface
 from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
+from neuralgrasps.synthesis.strength import grasp_strengths
 
 _SPACING_M = 0.012  # of the hand points of this first, coarse test; what passes is checked exactly later
 _WIDEST = 0.97  # share of a jaw's opening that an object may fill
 _FULL_CLEARANCE_M = 0.02  # more of it is not better
 _LEVER_M = 0.05  # a centre of mass so far from a jaw's axis costs as much as the best clearance gives
-_WEIGHTS = {"clearance": 1.0, "epsilon": 0.5, "lever": 1.0, "room": 0.5, "shake": 1.0, "preference": 1.0}
+_WEIGHTS = {
+    "clearance": 1.0,
+    "epsilon": 0.5,
+    "lever": 1.0,
+    "room": 0.5,
+    "shake": 1.0,
+    "strength": 2.0,
+    "preference": 1.0,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,7 +61,7 @@ def rank_candidates(
 
     The score sums: clearance, saturating at 2 cm; epsilon; for jaws room beside the object, less the lever of gravity
     about the line between the pads; whether the object's own weight was held in the "shake" trial, where that is known;
-    and the caller's preference.
+    how much of it the hand can lift by its contacts and motors, saturating at 1.5 weights; and the caller's preference.
 
     Args:
         grasps: of `world.target`. clearance_m: least distance of the hand to boxes and other objects.
@@ -97,6 +106,7 @@ def _score(
 ) -> np.ndarray:
     score = _WEIGHTS["clearance"] * np.clip(clearance / _FULL_CLEARANCE_M, 0.0, 1.0)
     score = score + _WEIGHTS["epsilon"] * grasps.epsilon
+    score += _WEIGHTS["strength"] * grasp_strengths(hand, target.obj, grasps, target.X_BO[2, :3])
     if hand.is_jaw:
         score += _WEIGHTS["room"] * (1.0 - _opening(hand, grasps.q))
         score -= _WEIGHTS["lever"] * gravity_lever(hand, target, X_BH) / _LEVER_M

@@ -16,7 +16,7 @@ from neuralgrasps.objects.cache import home_folder
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.prepared import Memory
 
-_VERSION = 4  # raise it when what is made changes
+_VERSION = 5  # raise it when what is made changes
 _ENGINES = ("mujoco", "numba", "numpy")  # another version of these may make other grasps
 _KEPT = Memory[GraspSet](most=256)
 

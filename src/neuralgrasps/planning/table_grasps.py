@@ -16,6 +16,7 @@ from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
 from neuralgrasps.planning.resting_plane import nearest_resting_plane, representative, rounded_plane
 from neuralgrasps.sim.validate import validate_grasps, verdict_parameters
 from neuralgrasps.synthesis.select import diverse_order
+from neuralgrasps.synthesis.strength import few_lift, grasp_strengths
 from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
@@ -79,7 +80,7 @@ def grasps_on_table(
 
     New ones are made once per hand, object and resting pose, and kept (`grasp_cache`): the first call takes seconds,
     later ones milliseconds. The result depends on the arguments only. Jaws that close on more than 97 % of their
-    aperture are left out.
+    aperture are left out, and, where few of the stored grasps can lift the object, those that cannot.
 
     Args:
         plane_O: the table in the object's frame, its normal up (`Plane.moved(inv(X_BO))` of the table in B).
@@ -96,7 +97,11 @@ def grasps_on_table(
         raise InputError(f"want is {want}; expected at least 1 grasp.")
     support = Support(plane=plane_O, clearance_m=config.clearance_m, retreat_m=config.retreat_m)
     none = empty_grasps(hand.name, obj.name, num_joints=hand.num_dofs, seed=seed)
-    kept = none if stored is None else _stored(hand, obj, stored, support, config, want)
+    kept = (
+        none
+        if stored is None
+        else _strong_enough(hand, obj, _stored(hand, obj, stored, support, config, want), support)
+    )
     made, reason = none, ""
     if len(kept) < want:
         made, reason = _made(hand, obj, support, config, want, seed)
@@ -111,6 +116,12 @@ def grasps_on_table(
 
 def _usable(hand: Hand, grasps: GraspSet, support: Support) -> GraspSet:
     return grasps[support.allows(hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)]
+
+
+def _strong_enough(hand: Hand, obj: ObjectModel, grasps: GraspSet, support: Support) -> GraspSet:
+    """All the grasps; of an object that is heavy for the hand, those that can lift it."""
+    strengths = grasp_strengths(hand, obj, grasps, support.plane.normal)
+    return grasps[strengths >= 1.0] if few_lift(strengths) else grasps
 
 
 def _exact_symmetry(obj: ObjectModel, config: TableGraspConfig) -> bool:
