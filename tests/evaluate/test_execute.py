@@ -74,7 +74,7 @@ def test_a_box_is_lifted_and_held(lifted) -> None:
 
 def test_executed_paths_are_checked_again(lifted) -> None:
     checks = lifted.attempts[0].rechecks
-    assert len(checks) == 2 and all(check.free for check in checks) and all(check.samples > 50 for check in checks)
+    assert len(checks) == 3 and all(check.free for check in checks) and all(check.samples > 50 for check in checks)
 
 
 def test_the_recording_goes_through_the_phases(lifted) -> None:

@@ -19,7 +19,15 @@ TRIAL = TrialRecord(
     grasps_cpu_s=0.0, wall_s=2.0, paths=2, collisions=0,
 )  # fmt: skip
 SCENE = SceneRecord(
-    pair="fetch+fetch", object="can", index=0, draws=1, found=True, plan_s=0.1, plan_cpu_s=0.02, tried=1, reasons=()
+    pair="fetch+fetch",
+    object="can",
+    index=0,
+    draws=1,
+    found=True,
+    plan_cpu_s=0.02,
+    grasps_cpu_s=0.1,
+    tried=1,
+    reasons=(),
 )
 
 

@@ -155,7 +155,7 @@ def plan_in(
     before: tuple[int, float | None] = (0, None)
     for stage in config.stages:
         cpu = time.thread_time()
-        found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=stage.count, seed=seed)
+        found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=stage.count)
         proof = None if stage.friction is None else lift_proof(hand, target.obj, plane_O, stage.friction)
         made += time.thread_time() - cpu
         if len(found.grasps) == 0:

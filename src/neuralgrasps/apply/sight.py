@@ -26,6 +26,7 @@ _ROBOT_M = 0.02  # pixels whose depth is so near to that of the robot's own surf
 _ROBOT_RIM = 2  # pixels around it
 _BEYOND_M, _TOWARDS_M = 0.30, 0.03  # how far a table is taken to go on beyond what is seen of it, and to the robot
 _LEAST_PIXELS = 200  # of something that may be the object asked for
+_LEAST_CONFIDENCE = 0.2  # of the pose of an object that stands alone; less, and nothing is planned
 _CLUSTERS = 3  # clusters that may be the one object asked for
 _THICKNESS_M = 0.04
 _CLEAR_OF_TABLE_M = 0.01
@@ -141,6 +142,9 @@ def locate(view: TableView, obj: ObjectModel, *, others: Sequence[ObjectModel] =
     if best is None:
         return Sighting(X_BO=None, reason="what stands on the table is seen by too few pixels.")
     pose, mask = best
+    if pose.confidence < _LEAST_CONFIDENCE:
+        reason = f"what stands there does not look like '{obj.name}': the confidence is {pose.confidence:.2f}."
+        return Sighting(X_BO=None, reason=reason, pose=pose, mask=mask)
     X_BO = X_BC @ pose.X_CO
     rest = [m for m in view.clusters if m is not mask]
     return Sighting(X_BO=X_BO, reason="", pose=pose, mask=mask, unknown_B=_points_B(view, rest))

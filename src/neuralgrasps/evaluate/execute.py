@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -75,7 +76,7 @@ class Attempt:
         lifted_m: how far the object was above its start after holding. held: it was lifted, and still was at the end.
         pushed_m: how far it moved before the hand closed. touched: the hand touched it after closing.
         hits: what was touched that should not have been, with the phase and force.
-        rechecks: of the transfer and the approach, in the world they were planned in; empty unless asked for.
+        rechecks: of transfer, approach and lift, in the world they were planned in; empty unless asked for.
     """
 
     X_BO_true: np.ndarray
@@ -224,8 +225,14 @@ def _attempt(
 
 
 def _rechecks(manipulator: Manipulator, plan: PickPlan, world: PlanningWorld) -> tuple[PathCheck, ...]:
-    return tuple(
-        recheck_path(manipulator, world, motion.q, q_hand=plan.q_pregrasp) for motion in (plan.transfer, plan.approach)
+    """Of the transfer and the approach with the open hand, and of the lift with the object in the closed one."""
+    assert world.target is not None
+    check = partial(recheck_path, manipulator, world)
+    X_HO = np.linalg.inv(plan.X_BH) @ world.target.X_BO
+    return (
+        check(plan.transfer.q, q_hand=plan.q_pregrasp),
+        check(plan.approach.q, q_hand=plan.q_pregrasp),
+        check(plan.lift.q, q_hand=plan.q_grasp, carried=X_HO),
     )
 
 

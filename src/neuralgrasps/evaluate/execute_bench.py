@@ -5,17 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, get_args
+from typing import Any
 
 from neuralgrasps.errors import InputError, NeuralGraspsError
-from neuralgrasps.evaluate.execute import PoseMethod
-from neuralgrasps.evaluate.execute_bench_trials import Found, SceneRecord, TrialRecord, measure_clutter, measure_single
+from neuralgrasps.evaluate.execute_bench_trials import (
+    VARIANTS,
+    Found,
+    SceneRecord,
+    TrialRecord,
+    measure_clutter,
+    measure_single,
+)
 from neuralgrasps.evaluate.pose_bench_methods import Library, open_library, open_library_run
 from neuralgrasps.parallel import available_cpus, run_tasks
 
 Progress = Callable[[int, int, str], None]
 FETCH, PANDA = ("fetch", "fetch"), ("panda", "allegro")
-PAPER_METHODS: tuple[PoseMethod, ...] = ("baseline", "contact")
+PAPER_METHODS = ("baseline", "contact")
+_PANDA_VARIANTS = ("ours", "true", "unproven")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +74,7 @@ def bench_execute(
         workers: processes, of one thread each; progress: called as (done, total, what was done last).
     """
     bench = ExecuteBench(workers=workers or available_cpus())
-    tasks = _tasks(library, config, _methods(library, bench))
+    tasks = _tasks(library, config, _variants(library, bench))
     results: list[Found | None] = [None] * len(tasks)
     begun = time.perf_counter()
     for done, (index, found) in enumerate(run_tasks(_work, tasks, workers=workers), start=1):
@@ -82,7 +89,7 @@ def bench_execute(
     return bench
 
 
-def _methods(library: Library, bench: ExecuteBench) -> tuple[PoseMethod, ...]:
+def _variants(library: Library, bench: ExecuteBench) -> tuple[str, ...]:
     reason = "no shipped run has a field of these objects."
     if library.run is not None:
         try:
@@ -92,19 +99,19 @@ def _methods(library: Library, bench: ExecuteBench) -> tuple[PoseMethod, ...]:
         else:
             reason = ""
     if not reason:
-        return tuple(get_args(PoseMethod))
+        return VARIANTS
     bench.absent |= dict.fromkeys(PAPER_METHODS, reason)
-    return tuple(m for m in get_args(PoseMethod) if m not in PAPER_METHODS)
+    return tuple(v for v in VARIANTS if v not in PAPER_METHODS)
 
 
-def _tasks(library: Library, config: ExecuteBenchConfig, methods: Sequence[PoseMethod]) -> list[tuple[Any, ...]]:
+def _tasks(library: Library, config: ExecuteBenchConfig, variants: Sequence[str]) -> list[tuple[Any, ...]]:
     """(kind, arguments); pieces of some seconds, those of one object spread over the run."""
     targets, seed = range(len(open_library(library))), config.seed
     tasks: list[tuple[Any, ...]] = []
     for part in _parts(config.scenes, 5):
-        tasks += [("single objects", library, target, *FETCH, part, methods, seed) for target in targets]
+        tasks += [("single objects", library, target, *FETCH, part, variants, seed) for target in targets]
     for part in _parts(config.panda_scenes, 4):
-        tasks += [("panda and allegro", library, target, *PANDA, part, ("ours", "true"), seed) for target in targets]
+        tasks += [("panda and allegro", library, target, *PANDA, part, _PANDA_VARIANTS, seed) for target in targets]
     count = min(config.clutter_objects, len(targets))
     if count > 1:
         tasks += [("clutter", library, *FETCH, part, count, seed) for part in _parts(config.clutter_scenes, 1)]

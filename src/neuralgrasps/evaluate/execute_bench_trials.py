@@ -6,6 +6,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import cast
+
+import numpy as np
 
 from neuralgrasps.apply.pick_up import PickUpConfig, Stage, go_home, plan_in
 from neuralgrasps.apply.simulated_robot import SimulatedRobot
@@ -37,7 +40,8 @@ class SceneRecord:
     Attributes:
         pair: "fetch+fetch"; object: the target; index: its number. draws: scenes drawn until this one.
         found: the planner found a plan with the true pose, as it is used; else only the long run did.
-        plan_s, plan_cpu_s: wall and CPU time of that planner. tried: grasps begun.
+        plan_cpu_s: CPU time of that planner; grasps_cpu_s: of finding grasps that clear the table, and of proofs.
+        tried: grasps begun.
         reasons: why each scene drawn before could not be solved.
     """
 
@@ -46,8 +50,8 @@ class SceneRecord:
     index: int
     draws: int
     found: bool
-    plan_s: float
     plan_cpu_s: float
+    grasps_cpu_s: float
     tried: int
     reasons: tuple[str, ...]
 
@@ -58,7 +62,7 @@ class TrialRecord:
 
     Attributes:
         index: of its scene; place: order in the scene, in clutter.
-        plan_s: CPU-seconds of the first plan, nan without. wall_s: of the whole trial.
+        method: one of `VARIANTS`. plan_cpu_s: of the first attempt's planner, nan without. wall_s: of the whole trial.
         paths, collisions: executed paths, and those found in collision when checked again at 1 mm.
     """
 
@@ -66,7 +70,7 @@ class TrialRecord:
     object: str
     index: int
     place: int
-    method: PoseMethod
+    method: str
     success: bool
     success_retry: bool
     cause: str
@@ -90,6 +94,21 @@ class Found:
     trials: list[TrialRecord] = field(default_factory=list)
 
 
+VARIANTS = ("ours", "true", "baseline", "contact", "camera off", "unproven")
+"""What is tried on each scene: the pose methods, ours with a camera 5 mm and 0.5 degrees off, ours without proofs."""
+_CAMERA_OFF = (0.005, np.deg2rad(0.5))
+_UNPROVEN = PickUpConfig(stages=tuple(Stage(count, None) for count in (8, 40, 120)))
+
+
+def config_of(variant: str) -> ExecuteConfig:
+    """How the trials of one of the `VARIANTS` are run."""
+    if variant == "camera off":
+        return ExecuteConfig(recheck=True, camera_off_m=_CAMERA_OFF[0], camera_off_rad=_CAMERA_OFF[1])
+    if variant == "unproven":
+        return ExecuteConfig(recheck=True, pick=_UNPROVEN)
+    return ExecuteConfig(pose=cast(PoseMethod, variant), recheck=True)
+
+
 @lru_cache(maxsize=4)
 def robot_of(arm: str, hand: str) -> Manipulator:
     """A robot by the names or files of its arm and hand, opened once per process."""
@@ -109,18 +128,17 @@ def measure_single(
     arm: str,
     hand: str,
     indices: Sequence[int],
-    methods: Sequence[PoseMethod],
+    methods: Sequence[str],
     seed: int,
 ) -> Found:
     """Scenes of one object that can be solved, and trials of every method on each."""
     manipulator, obj = robot_of(arm, hand), open_library(library)[target]
     stored, found = stored_grasps(library, manipulator.hand.name, obj), Found()
     for index in indices:
-        scene, record = solvable_scene(manipulator, obj, stored, index, seed)
+        scene, drawn = solvable_scene(manipulator, obj, stored, index, seed)
+        found.scenes.append(drawn)
         if scene is None:
-            found.scenes.append(record)
             continue
-        found.scenes.append(record)
         for method in methods:
             paper = _paper(library, manipulator, child_seed(seed, "paper", obj.name, index))
             begun = time.perf_counter()
@@ -129,10 +147,11 @@ def measure_single(
                 manipulator,
                 grasps=stored,
                 paper=paper if method in ("baseline", "contact") else None,
-                config=ExecuteConfig(pose=method, recheck=True),
+                config=config_of(method),
                 seed=child_seed(seed, "trial", obj.name, index),
             )
-            found.trials.append(_record(trial, manipulator, index, 0, time.perf_counter() - begun))
+            record = _record(trial, manipulator, index, 0, time.perf_counter() - begun)
+            found.trials.append(replace(record, method=method))
     return found
 
 
@@ -143,34 +162,32 @@ def solvable_scene(
     reasons: list[str] = []
     for draw in range(_DRAWS):
         scene = draw_scene([obj], manipulator.arm, seed=child_seed(seed, "scene", obj.name, index, draw))
-        begun = time.perf_counter()
-        result, why = _plan(manipulator, scene, stored, PickUpConfig(), seed)
-        wall = time.perf_counter() - begun
+        result, why, made = _plan(manipulator, scene, stored, PickUpConfig(), seed)
         solved = result is not None and result.plan is not None
         if solved or _solved_in_long_run(manipulator, scene, stored, seed):
             return scene, SceneRecord(
                 pair=manipulator.name, object=obj.name, index=index, draws=draw + 1, found=solved,
-                plan_s=wall, plan_cpu_s=result.cpu_s if result else float("nan"), tried=result.tried if result else 0,
-                reasons=tuple(reasons),
+                plan_cpu_s=result.cpu_s if result else float("nan"), grasps_cpu_s=made,
+                tried=result.tried if result else 0, reasons=tuple(reasons),
             )  # fmt: skip
         reasons.append(why)
     return None, SceneRecord(
-        pair=manipulator.name, object=obj.name, index=index, draws=_DRAWS, found=False, plan_s=float("nan"),
-        plan_cpu_s=float("nan"), tried=0, reasons=tuple(reasons),
+        pair=manipulator.name, object=obj.name, index=index, draws=_DRAWS, found=False, plan_cpu_s=float("nan"),
+        grasps_cpu_s=float("nan"), tried=0, reasons=tuple(reasons),
     )  # fmt: skip
 
 
 def _plan(
     manipulator: Manipulator, scene: TableScene, stored: GraspSet | None, config: PickUpConfig, seed: int
-) -> tuple[PickResult | None, str]:
+) -> tuple[PickResult | None, str, float]:
+    """As `plan_in`, with the true poses, from home."""
     q_home = manipulator.q_home[manipulator.arm_dofs]
-    result, reason, _ = plan_in(manipulator, scene_world(scene, 0), table_plane(scene), q_home, stored, config, seed)
-    return result, reason
+    return plan_in(manipulator, scene_world(scene, 0), table_plane(scene), q_home, stored, config, seed)
 
 
 def _solved_in_long_run(manipulator: Manipulator, scene: TableScene, stored: GraspSet | None, seed: int) -> bool:
     for again in range(3):
-        result, _ = _plan(manipulator, scene, stored, _LONG, child_seed(seed, "long run", again))
+        result, _, _ = _plan(manipulator, scene, stored, _LONG, child_seed(seed, "long run", again))
         if result is not None and result.plan is not None:
             return True
         if result is None or not result.counts.get(NO_PATH):  # another seed of the path planner changes nothing
@@ -200,6 +217,8 @@ def measure_clutter(library: Library, arm: str, hand: str, indices: Sequence[int
             found.trials.append(
                 replace(_record(trial, manipulator, index, place, time.perf_counter() - begun), pair="clutter")
             )
+            if robot.diverged:
+                break
             robot.take_away(target)
             go_home(robot, robot.true_world(), seed=child_seed(seed, "clutter home", index, place))
     return found

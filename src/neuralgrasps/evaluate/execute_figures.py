@@ -9,26 +9,30 @@ from typing import Any
 
 import numpy as np
 
-from neuralgrasps.evaluate.execute import PoseMethod
 from neuralgrasps.evaluate.execute_bench import ExecuteBench
-from neuralgrasps.evaluate.execute_bench_trials import SceneRecord, TrialRecord
+from neuralgrasps.evaluate.execute_bench_trials import VARIANTS, SceneRecord, TrialRecord
 from neuralgrasps.evaluate.shares import mcnemar_p, wilson_interval
 
 FETCH_PAIR, PANDA_PAIR, CLUTTER = "fetch+fetch", "panda+allegro", "clutter"
-METHODS: tuple[PoseMethod, ...] = ("ours", "true", "baseline", "contact")
+METHODS = VARIANTS
 FIGURES = (
-    *(f"success_{m}" for m in METHODS),
+    *(f"success_{m.replace(' ', '_')}" for m in METHODS),
     "success_retry_ours",
+    "success_of_all_drawn",
     "clutter_success",
     "clutter_retry_success",
     "plan_median_ms",
     "plan_p95_ms",
+    "plan_with_grasps_median_ms",
+    "plan_with_grasps_p95_ms",
     "plan_found",
     "paths_checked",
     "collisions",
     "trials_per_min",
     "success_panda_allegro",
     "success_panda_allegro_true",
+    "success_panda_allegro_unproven",
+    "success_panda_allegro_of_all_drawn",
     "infeasible_share",
     "infeasible_share_panda_allegro",
 )
@@ -40,7 +44,7 @@ def execute_figures(bench: ExecuteBench) -> dict[str, float]:
     for method in METHODS:
         own = _of(bench.trials, FETCH_PAIR, method)
         if own:
-            figures[f"success_{method}"] = _share(t.success for t in own)
+            figures[f"success_{method.replace(' ', '_')}"] = _share(t.success for t in own)
     ours = _of(bench.trials, FETCH_PAIR, "ours")
     if ours:
         figures["success_retry_ours"] = _share(t.success_retry for t in ours)
@@ -54,16 +58,21 @@ def execute_figures(bench: ExecuteBench) -> dict[str, float]:
     if planned:
         cpu = 1e3 * np.array([s.plan_cpu_s for s in planned])
         figures |= {"plan_median_ms": float(np.median(cpu)), "plan_p95_ms": float(np.percentile(cpu, 95))}
+        whole = cpu + 1e3 * np.array([s.grasps_cpu_s for s in planned])
+        figures["plan_with_grasps_median_ms"] = float(np.median(whole))
+        figures["plan_with_grasps_p95_ms"] = float(np.percentile(whole, 95))
+        figures["success_of_all_drawn"] = _of_all_drawn(ours, scenes)
         figures["plan_found"] = _share(s.found for s in scenes if _solved(s))
         figures["infeasible_share"] = _infeasible(scenes)
     figures["paths_checked"] = float(sum(t.paths for t in bench.trials))
     figures["collisions"] = float(sum(t.collisions for t in bench.trials))
-    for method, name in (("ours", "success_panda_allegro"), ("true", "success_panda_allegro_true")):
+    for method, end in (("ours", ""), ("true", "_true"), ("unproven", "_unproven")):
         own = _of(bench.trials, PANDA_PAIR, method)
         if own:
-            figures[name] = _share(t.success for t in own)
+            figures[f"success_panda_allegro{end}"] = _share(t.success for t in own)
     panda = [s for s in bench.scenes if s.pair == PANDA_PAIR]
     if panda:
+        figures["success_panda_allegro_of_all_drawn"] = _of_all_drawn(_of(bench.trials, PANDA_PAIR, "ours"), panda)
         figures["infeasible_share_panda_allegro"] = _infeasible(panda)
     return figures
 
@@ -159,6 +168,11 @@ def _of(trials: Sequence[TrialRecord], pair: str, method: str) -> list[TrialReco
 
 def _solved(scene: SceneRecord) -> bool:
     return scene.draws > len(scene.reasons)
+
+
+def _of_all_drawn(trials: Sequence[TrialRecord], scenes: Sequence[SceneRecord]) -> float:
+    """Share lifted when scenes that nothing solves count as failed."""
+    return sum(t.success for t in trials) / max(sum(s.draws for s in scenes), 1)
 
 
 def _infeasible(scenes: Sequence[SceneRecord]) -> float:

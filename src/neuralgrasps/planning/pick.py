@@ -26,6 +26,9 @@ from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.sim.grip import grip_target
 
+NO_APPROACH, NO_LIFT = "no straight approach", "no straight lift"
+NOT_PROVEN = "does not lift it in physics"
+_HOPELESS = (NO_LIFT, NOT_PROVEN)  # however far the hand is open
 NO_PATH = "no path to the standoff"
 """The count of `PickResult` for grasps that only the path planner failed at."""
 
@@ -260,51 +263,57 @@ class _Walk:
     def _try(self, ranked: RankedCandidates, k: int) -> PickPlan | None:
         index = int(ranked.index[k])
         X_BH = self.target.X_BO @ self.grasps.X_OH[index]
-        reached = False
+        ended = "out of reach"
         for back_m in (0.0, self.config.back_off_m):
             X_BH[:3, 3] -= back_m * self._approach(X_BH)
             postures = self.solver.solutions(
                 X_BH, max_solutions=self.config.solutions, starts=self.config.starts, q_near=self.q_start
             )
-            reached |= len(postures) > 0
+            if len(postures) and ended == "out of reach":
+                ended = "robot touches something at the grasp"
             for q_open in opened_postures(self.hand, self.grasps.q_pregrasp[index]):
                 checker = self.checker.with_hand(q_open)
                 free = checker.for_approach().is_free(postures)
-                if free.any():
-                    return self._move(ranked, k, X_BH, checker, postures[free])
-        self.counts["robot touches something at the grasp" if reached else "out of reach"] += 1
+                if not free.any():
+                    continue
+                plan, ended = self._move(ranked, k, X_BH, checker, postures[free])
+                if plan is not None:
+                    return plan
+                if ended in _HOPELESS:
+                    break
+            if ended in _HOPELESS:
+                break
+        self.counts[ended] += 1
         return None
 
     def _move(
         self, ranked: RankedCandidates, k: int, X_BH: np.ndarray, checker: CollisionChecker, postures: np.ndarray
-    ) -> PickPlan | None:
-        """The first complete motion to one of some arm postures at a grasp."""
+    ) -> tuple[PickPlan | None, str]:
+        """The first complete motion to one of some arm postures at a grasp, or where the last one ended."""
         index, near = int(ranked.index[k]), checker.for_approach()
         X_HO = inverse_np(X_BH) @ self.target.X_BO
         lift_checker = self.checker.for_lift(self.grasps.q[index], X_HO)
         back = self._line(X_BH, -self.config.standoff_m * self._approach(X_BH))
         up = self._line(X_BH, np.array([0.0, 0.0, self.config.lift_m]))
-        ended = ""
+        ended = NO_APPROACH
         for attempt, q in enumerate(postures):
             retreat = follow_line(self.solver, q, back)
             if not (retreat.complete and near.path_is_free(retreat.q)):
-                ended = ended or "no straight approach"
                 continue
             lift = follow_line(self.solver, q, up)
             if not (lift.complete and lift_checker.path_is_free(lift.q)):
-                ended = "no straight lift"
+                ended = NO_LIFT
                 continue
             if not self._proven(index):
-                self.counts["does not lift it in physics"] += 1
-                return None
+                return None, NOT_PROVEN
             seed = child_seed(self.seed, "path", index, attempt)
             path = plan_path(checker, self.q_start, retreat.q[-1:], config=self.config.path, seed=seed)
             if path.solved:
                 clearance_m = float(ranked.clearance_m[k])
-                return self._timed(index, X_BH, checker.q_hand, path.q, retreat.q[::-1], lift.q, clearance_m)
+                timed = self._timed(index, X_BH, checker.q_hand, path.q, retreat.q[::-1], lift.q, clearance_m)
+                return timed, ""
             ended = NO_PATH
-        self.counts[ended] += 1
-        return None
+        return None, ended
 
     def _proven(self, index: int) -> bool:
         if self.proof is None:
