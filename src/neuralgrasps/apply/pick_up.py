@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from neuralgrasps.apply.robot import Robot
+from neuralgrasps.apply.robot import Robot, check_start
 from neuralgrasps.apply.sight import Sighting, TableView, locate, view_table
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.errors import InputError
@@ -24,7 +24,7 @@ from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
 from neuralgrasps.planning.table_grasps import grasps_on_table
 from neuralgrasps.planning.timing import time_path
-from neuralgrasps.planning.world import PlacedObject, PlanningWorld
+from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
 
 _MEASURED = 0.01  # rad or metres that a joint that is at its limit may be measured to be beyond it
 _OWN_M = 0.012  # points so near to an object that was recognised are its own
@@ -97,6 +97,7 @@ def propose_pick(
     *,
     grasps: GraspSet | None = None,
     others: Sequence[ObjectModel] = (),
+    obstacles: Sequence[BoxObstacle] = (),
     estimator: PoseEstimator | None = None,
     refiner: PoseRefiner | None = None,
     config: PickUpConfig | None = None,
@@ -106,7 +107,7 @@ def propose_pick(
 
     Args:
         grasps: stored grasps of the object by the robot's hand; None: all are made on the spot.
-        others: further objects that may stand there.
+        others: further objects that may stand there. obstacles: boxes in B that the camera does not see, or need not.
         estimator: another pose estimate in place of `estimate_pose`'s. refiner: asked once a grasp is planned; with its
             pose the motion is planned again.
     """
@@ -122,13 +123,13 @@ def propose_pick(
         return _nothing(frame, view, sighting, sighting.reason, time.thread_time() - cpu)
     X_BO = sighting.X_BO if estimator is None else estimator(obj, view, sighting)
     looked = time.thread_time() - cpu
-    world = _world(obj, X_BO, view, sighting)
+    world = _world(obj, X_BO, view, sighting, obstacles)
     result, reason, made = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
     if refiner is not None and result is not None and result.plan is not None:
         cpu = time.thread_time()
         X_BO = refiner(obj, view, sighting, result.plan.X_BH)
         looked += time.thread_time() - cpu
-        world = _world(obj, X_BO, view, sighting)
+        world = _world(obj, X_BO, view, sighting, obstacles)
         result, reason, again = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
         made += again
     return PickProposal(
@@ -180,14 +181,16 @@ def within_limits(manipulator: Manipulator, q_arm: np.ndarray) -> np.ndarray:
     return np.where(np.abs(q_arm - inside) <= _MEASURED, inside, q_arm)
 
 
-def _world(obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting) -> PlanningWorld:
-    """The table, the target, what else was recognised, and the points that none of these explain."""
+def _world(
+    obj: ObjectModel, X_BO: np.ndarray, view: TableView, sighting: Sighting, obstacles: Sequence[BoxObstacle]
+) -> PlanningWorld:
+    """The table and other boxes, the target, what was recognised, and the points that none of these explain."""
     placed = (PlacedObject(obj=obj, X_BO=X_BO), *sighting.others)
     unknown_B = sighting.unknown_B
     for thing in placed:
         near = query_grid_numpy(thing.obj.sdf, transform_points_np(inverse_np(thing.X_BO), unknown_B)) < _OWN_M
         unknown_B = unknown_B[~near]
-    return PlanningWorld(boxes=(view.box,), target=placed[0], objects=placed[1:], cloud_B=unknown_B)
+    return PlanningWorld(boxes=(view.box, *obstacles), target=placed[0], objects=placed[1:], cloud_B=unknown_B)
 
 
 def _nothing(
@@ -226,7 +229,12 @@ def pick_steps(plan: PickPlan, config: PickUpConfig) -> Iterator[Step]:
 
 
 def carry_out(robot: Robot, plan: PickPlan, *, config: PickUpConfig | None = None) -> None:
-    """Do all steps of a plan."""
+    """Do all steps of a plan.
+
+    Raises:
+        InputError: the arm is not where the plan begins.
+    """
+    check_start(robot.manipulator, plan.transfer, robot.state().q_arm)
     for step in pick_steps(plan, config or PickUpConfig()):
         step.run(robot)
 
@@ -237,6 +245,7 @@ def pick_up(
     *,
     grasps: GraspSet | None = None,
     others: Sequence[ObjectModel] = (),
+    obstacles: Sequence[BoxObstacle] = (),
     config: PickUpConfig | None = None,
     seed: int = 0,
 ) -> PickProposal:
@@ -244,7 +253,7 @@ def pick_up(
 
     Arguments as for `propose_pick`. Whether the object is held is for the robot's owner to check.
     """
-    proposal = propose_pick(robot, obj, grasps=grasps, others=others, config=config, seed=seed)
+    proposal = propose_pick(robot, obj, grasps=grasps, others=others, obstacles=obstacles, config=config, seed=seed)
     if proposal.plan is not None:
         carry_out(robot, proposal.plan, config=config)
     return proposal

@@ -9,6 +9,7 @@ import numpy as np
 
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
+from neuralgrasps.errors import InputError
 from neuralgrasps.perception.frame import Frame
 
 
@@ -25,6 +26,27 @@ class RobotState:
     q_arm: np.ndarray
     q_hand: np.ndarray
     time_s: float
+
+
+def check_start(manipulator: Manipulator, trajectory: Trajectory, q_arm: np.ndarray, *, slack: float = 0.05) -> None:
+    """Refuse a motion that does not begin where the arm is: it would jump there.
+
+    Args:
+        q_arm: (D,) measured joints. slack: rad or metres that each may be off.
+    Raises:
+        InputError: other joints, or another start.
+    """
+    names = manipulator.arm_names
+    if sorted(trajectory.joint_names) != sorted(names):
+        raise InputError(f"the trajectory moves joints {trajectory.joint_names}; expected {names}.")
+    start = trajectory.q[0, [trajectory.joint_names.index(n) for n in names]]
+    off = np.abs(start - q_arm)
+    if not (off <= slack).all():
+        j = int(np.argmax(off))
+        raise InputError(
+            f"the trajectory begins at {names[j]} = {start[j]:.3f}, but the arm is at {q_arm[j]:.3f}; plan anew from "
+            "where the robot is."
+        )
 
 
 class Robot(Protocol):
@@ -48,7 +70,7 @@ class Robot(Protocol):
         ...
 
     def execute(self, trajectory: Trajectory) -> None:
-        """Follow a trajectory that starts where the arm is; the hand holds its posture and its force."""
+        """Follow a trajectory that starts where the arm is (`check_start`); the hand holds its posture and force."""
         ...
 
     def move_hand(self, q_hand: np.ndarray, *, duration_s: float, force: float = 1.0) -> None:

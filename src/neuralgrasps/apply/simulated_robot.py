@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from neuralgrasps.apply.robot import RobotState
+from neuralgrasps.apply.robot import RobotState, check_start
 from neuralgrasps.apply.table_scenes import TableScene, camera_beside, scene_world, table_plane
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
@@ -21,6 +21,7 @@ from neuralgrasps.sim.tabletop import Recording, TableTop
 from neuralgrasps.sim.tabletop_model import TableTopConfig
 
 _SETTLED_M = 0.001
+_OFF = 0.3  # rad or metres: an arm that presses against something lags behind; more is another start
 
 
 class SimulatedRobot:
@@ -70,6 +71,7 @@ class SimulatedRobot:
         )
 
     def execute(self, trajectory: Trajectory) -> None:
+        check_start(self._manipulator, trajectory, self.table_top.q_arm, slack=_OFF)
         self.table_top.run(trajectory, settle_s=0.0)
 
     def move_hand(self, q_hand: np.ndarray, *, duration_s: float, force: float = 1.0) -> None:

@@ -16,6 +16,7 @@ from neuralgrasps.apply.table_scenes import TableScene, draw_scene, scene_world,
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.mount import mount
 from neuralgrasps.arms.zoo import load_arm
+from neuralgrasps.errors import InputError
 from neuralgrasps.evaluate.execute import ExecuteConfig, PoseMethod, Trial, execute_trial, run_trial
 from neuralgrasps.evaluate.execute_poses import PaperPoses
 from neuralgrasps.evaluate.pose_bench_methods import Library, open_library, open_library_run
@@ -163,6 +164,8 @@ def solvable_scene(
     for draw in range(_DRAWS):
         scene = draw_scene([obj], manipulator.arm, seed=child_seed(seed, "scene", obj.name, index, draw))
         result, why, made = _plan(manipulator, scene, stored, PickUpConfig(), seed)
+        if result is not None and result.blocked:
+            raise InputError(f"robot '{manipulator.name}' at home: {result.reason} Give it another home in arm.toml.")
         solved = result is not None and result.plan is not None
         if solved or _solved_in_long_run(manipulator, scene, stored, seed):
             return scene, SceneRecord(

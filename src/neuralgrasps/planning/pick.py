@@ -72,6 +72,9 @@ class PickConfig:
         for name in ("standoff_m", "lift_m", "time_limit_s", "speed", "approach_speed", "lift_speed"):
             if not getattr(self, name) > 0:
                 raise InputError(f"pick: {name} is {getattr(self, name)}; expected a positive number.")
+        for name in ("clearance_m", "back_off_m"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"pick: {name} is {getattr(self, name)}; expected 0 or more.")
         for name in ("steps", "solutions", "starts"):
             if getattr(self, name) < 1:
                 raise InputError(f"pick: {name} is {getattr(self, name)}; expected at least 1.")
@@ -148,6 +151,8 @@ def plan_pick(
         InputError: no grasps, grasps of another hand or object, no target, a start outside the limits.
     """
     config = config or PickConfig()
+    if not isinstance(grasps, GraspSet):
+        raise InputError(f"grasps are {type(grasps).__name__}; expected a GraspSet: synthesise, or grasps_on_table.")
     q_start = np.asarray(q_start, float)
     _check(manipulator, grasps, world, q_start)
     return _Walk(manipulator, grasps, world, q_start, config, proof, seed).run(preference)

@@ -6,8 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from neuralgrasps.errors import check_shape
+from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.objects.object_model import ObjectModel
+
+_RIGID = 1e-6
+_LARGEST_M = 50.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -17,6 +20,18 @@ class BoxObstacle:
     name: str
     X_BX: np.ndarray
     half: np.ndarray
+
+    def __post_init__(self) -> None:
+        X, half = np.asarray(self.X_BX, float), np.asarray(self.half, float)
+        check_shape(f"X_BX of box '{self.name}'", X.shape, (4, 4))
+        check_shape(f"half of box '{self.name}'", half.shape, (3,))
+        if not (np.isfinite(X).all() and np.abs(X[:3, :3].T @ X[:3, :3] - np.eye(3)).max() < _RIGID):
+            raise InputError(f"box '{self.name}': X_BX is not a rigid motion; expected a rotation and metres.")
+        if not ((half > 0.0) & (half < _LARGEST_M)).all():
+            raise InputError(
+                f"box '{self.name}': half extents are {half.tolist()}; expected metres, above 0 and below "
+                f"{_LARGEST_M:g}. Were millimetres meant?"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,6 +61,8 @@ class PlanningWorld:
 
     def __post_init__(self) -> None:
         check_shape("cloud_B", np.shape(self.cloud_B), (None, 3))
+        if not np.isfinite(self.cloud_B).all():
+            raise InputError("cloud_B holds numbers that are not finite; drop those points.")
 
 
 def table_box(
