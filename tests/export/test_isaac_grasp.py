@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -135,3 +136,10 @@ def test_a_file_without_grasps_is_an_empty_set(tmp_path: Path) -> None:
     path: Any = tmp_path / "empty.yaml"
     path.write_text("format: isaac_grasp\nformat_version: 1.0\ngrasps: {}\n")
     assert len(load_isaac_grasps(path, load_hand("barrett"), object_name="cup").grasps) == 0
+
+
+def test_squeezed_joints_stay_within_their_limits(grasps_by: Callable[..., GraspSet]) -> None:
+    hand = load_hand("panda")
+    grasps = replace(grasps_by(hand, 1), q_squeeze=np.array([[-0.0146]]))
+    entry = isaac_grasps(grasps, hand, squeezed=True)["grasps"]["grasp_0"]
+    assert entry["cspace_position"] == {"panda_finger_joint1": 0.0}

@@ -233,3 +233,17 @@ def test_damaged_files(
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(DataFormatError, match=said):
         load_moveit_grasps(path)
+
+
+def test_postures_stay_within_the_joint_limits_and_say_the_force_apart(grasps_by: Callable[..., GraspSet]) -> None:
+    hand = load_hand("panda")
+    grasps = grasps_by(hand, 2)
+    beyond = replace(grasps, q_squeeze=np.full((2, 1), -0.0146), q_pregrasp=np.full((2, 1), 0.05))
+    config = GraspMessageConfig(force=0.25)
+    message = moveit_grasps(beyond, hand, frame_id="box", X_frame_O=np.eye(4), config=config)[0]
+    (before,) = message["pre_grasp_posture"]["points"]
+    press = message["grasp_posture"]["points"][1]
+    assert before["positions"] == [hand.tree.upper[0]] * 2
+    assert press["positions"] == [0.0, 0.0] and press["effort"] == [0.25 * hand.tree.effort[0]] * 2
+    with pytest.raises(InputError, match="force is 2"):
+        GraspMessageConfig(force=2.0)

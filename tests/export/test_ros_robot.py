@@ -125,3 +125,12 @@ def test_the_camera_is_that_of_the_rectified_image() -> None:
     info.k = [0.0] * 9
     with pytest.raises(InputError, match="no focal length"):
         ros_robot.read_intrinsics(info)
+
+
+def test_targets_beyond_the_limits_are_sent_at_the_limits() -> None:
+    panda, barrett = load_hand("panda"), load_hand("barrett")
+    goal = ros_robot.gripper_goal(panda, np.array([-0.0146]), force=0.5, scale=2.0)["command"]
+    assert goal == {"position": 0.0, "max_effort": 0.5 * panda.tree.effort[0]}
+    assert ros_robot.gripper_goal(panda, np.array([0.07]))["command"]["position"] == panda.tree.upper[0]
+    sent = ros_robot.hand_goal(barrett, barrett.tree.upper + 0.3, duration_s=1.0)["trajectory"]["points"][0]
+    assert sent["positions"] == barrett.tree.upper.tolist() and sent["effort"] == barrett.tree.effort.tolist()

@@ -65,7 +65,8 @@ def isaac_grasps(
         object_frame: what the file calls the object's frame; default its name. gripper_frame: that of the hand base;
             default the hand's base link.
         names: N names; default grasp_0, grasp_1, ...
-        squeezed: closed joints are `q_squeeze`, the targets that press, not `q`, where the fingers touch.
+        squeezed: closed joints are `q_squeeze`, the targets that press, not `q`, where the fingers touch. Both are
+            clamped to the joint limits.
         joint_names: the robot's names of the hand's joints by ours; None: `joints.ROBOT_NAMES`.
     Returns:
         the dict that YAML holds. Confidence is `epsilon`, at most 1.
@@ -96,7 +97,7 @@ def isaac_grasps(
 
 
 def _moved(joints: HandJoints, q: np.ndarray) -> dict[str, float]:
-    positions = joints.positions(q)
+    positions = joints.targets(q)
     return {joints.names[k]: float(positions[k]) for k in joints.dofs}
 
 

@@ -29,12 +29,15 @@ class HandJoints:
         names: K names, as the robot has them; own: (K,) bool, independent; the others follow rigidly.
         dofs: (J,) the place of each independent joint of `q` among the K.
         effort: (K,) largest torque (N m) or force (N); that of the leader for a follower.
+        lower, upper: (J,) limits of the independent joints, rad or metres.
     """
 
     names: tuple[str, ...]
     own: np.ndarray
     dofs: np.ndarray
     effort: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
     _coupling: np.ndarray
     _offset: np.ndarray
 
@@ -47,6 +50,19 @@ class HandJoints:
         q = np.asarray(q, np.float64)
         check_shape("q", q.shape, (len(self.dofs),))
         return np.asarray(q @ self._coupling.T + self._offset)
+
+    def targets(self, q: np.ndarray) -> np.ndarray:
+        """All joints (..., K) where a robot may be sent for independent joints (..., J): clamped to their limits.
+
+        Targets that press may lie beyond the limits (a jaw's always does, so that a simulated servo is at its full
+        force); controllers that check limits refuse these. The force is to be said apart, as a share of `effort`.
+
+        Raises:
+            ShapeError: another number of joints.
+        """
+        q = np.asarray(q, np.float64)
+        check_shape("q", q.shape, (len(self.dofs),))
+        return self.positions(np.clip(q, self.lower, self.upper))
 
     def q(self, values: Mapping[str, float], *, where: str) -> np.ndarray:
         """Independent joints (J,) from positions by the robot's names; followers may be left out.
@@ -100,6 +116,8 @@ def hand_joints(hand: Hand, *, names: Mapping[str, str] | None = None) -> HandJo
         own=own,
         dofs=led,
         effort=np.where(coupling != 0, tree.effort, 0.0).max(axis=1, initial=0.0),
+        lower=tree.lower,
+        upper=tree.upper,
         _coupling=coupling,
         _offset=tree.offset[moving],
     )

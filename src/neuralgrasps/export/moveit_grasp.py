@@ -43,6 +43,7 @@ class GraspMessageConfig:
         retreat_m: straight way back after letting go; retreat_min_m: the least of it.
         up: upward direction in `up_frame`; up_frame: "" = the frame of the grasp poses.
         close_s, squeeze_s: time to close, and to press after that, seconds.
+        force: share of the hand's effort limits, in [0, 1], that closing uses: `effort` of the grasp posture.
         max_contact_force: newtons; 0 = no limit.
         allowed_touch_objects: names of other objects that may be touched.
         joint_names: the robot's names of the hand's joints by ours; None: `joints.ROBOT_NAMES`.
@@ -59,6 +60,7 @@ class GraspMessageConfig:
     up_frame: str = ""
     close_s: float = 1.2
     squeeze_s: float = 0.3
+    force: float = 1.0
     max_contact_force: float = 0.0
     allowed_touch_objects: tuple[str, ...] = ()
     joint_names: Mapping[str, str] | None = None
@@ -71,6 +73,8 @@ class GraspMessageConfig:
                 raise InputError(f"{way}_min_m, {way}_m are {least}, {most}; expected 0 <= {way}_min_m <= {way}_m.")
         if not (0 < self.close_s < np.inf and 0 < self.squeeze_s < np.inf):
             raise InputError(f"close_s, squeeze_s are {self.close_s}, {self.squeeze_s}; expected positive seconds.")
+        if not 0 <= self.force <= 1:
+            raise InputError(f"force is {self.force}; expected a share of the effort limits, 0 to 1.")
         if not (np.isfinite(self.up).all() and np.linalg.norm(self.up) > 1e-9):
             raise InputError(f"up is {self.up}; expected a direction.")
 
@@ -88,8 +92,9 @@ def moveit_grasps(
     """Grasps as `moveit_msgs/Grasp`, in the order given.
 
     The pre-grasp posture is `q_pregrasp`; the grasp posture has two points: `q`, where the fingers touch, then
-    `q_squeeze`, with the joints' effort limits, where they press. Joints that follow others are listed too. Quality is
-    `epsilon`. Quaternions are x y z w.
+    `q_squeeze`, where they press. All are clamped to the joint limits, beyond which a target that presses may lie; how
+    hard it presses is said by `effort`, the share `config.force` of the effort limits. Joints that follow others are
+    listed too. Quality is `epsilon`. Quaternions are x y z w.
 
     Args:
         frame_id: the frame of the poses; X_frame_O: (4, 4) the object in it, metres.
@@ -124,9 +129,9 @@ def moveit_grasps(
 
 
 def _postures(grasps: GraspSet, i: int, joints: HandJoints, config: GraspMessageConfig) -> Message:
-    before = trajectory_point(joints.positions(grasps.q_pregrasp[i]), config.close_s, ros=config.ros)
+    before = trajectory_point(joints.targets(grasps.q_pregrasp[i]), config.close_s, ros=config.ros)
     closed = [
-        trajectory_point(joints.positions(q), t, effort=joints.effort, ros=config.ros)
+        trajectory_point(joints.targets(q), t, effort=config.force * joints.effort, ros=config.ros)
         for q, t in ((grasps.q[i], config.close_s), (grasps.q_squeeze[i], config.close_s + config.squeeze_s))
     ]
     return {

@@ -54,14 +54,15 @@ def hand_goal(
     Only independent joints are listed: those that follow have no controller.
 
     Args:
-        q: (J,) where to. duration_s: when. force: share of the effort limits, for controllers that heed it.
+        q: (J,) where to; clamped to the joint limits. duration_s: when.
+        force: share of the effort limits, in the point's `effort`, for controllers that heed it.
         names: the robot's names of the hand's joints by ours.
     Raises:
         ShapeError: another number of joints. InputError: a share outside 0..1, or as `hand_joints`.
     """
     joints = hand_joints(hand, names=names)
     own = joints.dofs
-    point = trajectory_point(joints.positions(q)[own], duration_s, effort=_share(force) * joints.effort[own])
+    point = trajectory_point(joints.targets(q)[own], duration_s, effort=_share(force) * joints.effort[own])
     return _goal(posture_trajectory([joints.names[k] for k in own], [point]), None, duration_s)
 
 
@@ -69,7 +70,8 @@ def gripper_goal(hand: Hand, q: np.ndarray, *, force: float = 1.0, scale: float 
     """A goal of the action `control_msgs/GripperCommand` for a hand of one joint.
 
     Args:
-        q: (1,) travel of a finger, metres. force: share of the effort limit.
+        q: (1,) travel of a finger, metres; clamped to its limits, as a target that presses lies beyond them.
+        force: share of the effort limit; `max_effort` is so much of it.
         scale: position per travel: 1 for controllers that take a finger's travel, 2 for those that take the opening.
     Raises:
         InputError: a hand of more joints, a share outside 0..1. ShapeError: another number of joints in `q`.
@@ -77,7 +79,8 @@ def gripper_goal(hand: Hand, q: np.ndarray, *, force: float = 1.0, scale: float 
     hand.check_q(np.asarray(q))
     if hand.num_dofs != 1:
         raise InputError(f"hand '{hand.name}' has {hand.num_dofs} joints; a gripper command moves one: use hand_goal.")
-    command = {"position": float(q[0]) * scale, "max_effort": _share(force) * float(hand.tree.effort[0])}
+    position = float(np.clip(q, hand.tree.lower, hand.tree.upper)[0])
+    command = {"position": position * scale, "max_effort": _share(force) * float(hand.tree.effort[0])}
     goal = {"command": command}
     check_message(GRIPPER_KIND, goal)
     return goal
