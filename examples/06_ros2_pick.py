@@ -126,6 +126,7 @@ class RosRobot:
         self._send(ARM_ACTION, ros_robot.follow_goal(trajectory), trajectory.duration_s)
 
     def move_hand(self, q_hand: np.ndarray, *, duration_s: float, force: float = 1.0) -> None:
+        """Targets may lie beyond the joint limits; the goals clamp them and say the force as an effort."""
         hand = self.manipulator.hand
         if hand.num_dofs == 1:
             goal = ros_robot.gripper_goal(hand, q_hand, force=force, scale=OPENING_PER_TRAVEL)
@@ -181,6 +182,7 @@ def main(argv: list[str]) -> int:
         return 2
     from neuralgrasps.apply.pick_up import carry_out, propose_pick  # noqa: PLC0415
     from neuralgrasps.export.pick_plan import save_pick_plan  # noqa: PLC0415
+    from neuralgrasps.export.plan_origin import PlanOrigin  # noqa: PLC0415
 
     obj = ng.load_object(options.object)
     grasps = ng.load_grasps(options.grasps) if options.grasps else None
@@ -191,7 +193,14 @@ def main(argv: list[str]) -> int:
         if proposal.plan is None:
             print(f"no plan: {proposal.reason}", file=sys.stderr)
             return 1
-        print(f"The plan is in {save_pick_plan(options.plan, proposal.plan, robot.manipulator)}.")
+        view, sighting, result = proposal.view, proposal.sighting, proposal.result
+        origin = PlanOrigin(
+            X_BO=proposal.X_BO,
+            confidence=sighting.pose.confidence if sighting and sighting.pose else None,
+            table_B=view.plane_B if view else None,
+            seed=result.seed if result else None,
+        )
+        print(f"The plan is in {save_pick_plan(options.plan, proposal.plan, robot.manipulator, origin=origin)}.")
         if input("Is the robot's way free, and may it move? [y/N] ").strip().lower() != "y":
             return 1
         carry_out(robot, proposal.plan)

@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 import yaml
 
+import neuralgrasps
 from neuralgrasps.arms.manipulator import Manipulator
+from neuralgrasps.arms.mount import mount
+from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.export.frames import Wrist
 from neuralgrasps.export.messages import check_message
 from neuralgrasps.export.moveit_grasp import GraspMessageConfig, grasps_of
 from neuralgrasps.export.pick_plan import STEPS, load_pick_plan, plan_document, save_pick_plan
+from neuralgrasps.export.plan_origin import PlanOrigin, gripper_opening
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.se3_numpy import axis_angle_matrix, make_transform_np
 from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.planning.pick import PickPlan
 from tests.export.conftest import smooth_motion
@@ -84,6 +91,63 @@ def test_the_grasp_can_be_read_as_a_set(plan: PickPlan, fetch: Manipulator) -> N
     wrist = Wrist(link=document["wrist_link"], X_LH=X_LH)
     back = grasps_of([document["grasp"]], fetch.hand, object_name="box", X_frame_O=X_BO, wrist=wrist)
     np.testing.assert_allclose(back.X_OH, plan.grasp.X_OH, atol=1e-6)
+
+
+def test_one_close_target_within_the_limits(plan: PickPlan, fetch: Manipulator) -> None:
+    stored = replace(plan.grasp, q_squeeze=plan.grasp.q_squeeze - 0.001)
+    pressing = replace(plan, grasp=stored, q_squeeze=np.array([-0.0146]))
+    document = plan_document(pressing, fetch, config=GraspMessageConfig(force=0.5))
+    steps = {s["name"]: s["message"] for s in document["plan"]}
+    press = steps["close_hand"]["points"][-1]
+    assert press["positions"] == [0.0, 0.0] and press["effort"] == [0.5 * fetch.hand.tree.effort[0]] * 2
+    for field, step in (("pre_grasp_posture", "open_hand"), ("grasp_posture", "close_hand")):
+        assert document["grasp"][field]["points"] == steps[step]["points"]
+
+
+def test_what_the_plan_was_made_from(plan: PickPlan, fetch: Manipulator, tmp_path: Path) -> None:
+    X_BO = make_transform_np(axis_angle_matrix([0.0, 0.0, 1.0], np.pi / 2), [0.7, 0.1, 0.8])
+    made = PlanOrigin(X_BO=X_BO, confidence=0.75, table_B=Plane(np.array([0.0, 0.0, 1.0]), -0.72), seed=7)
+    path = save_pick_plan(tmp_path / "plan.yaml", plan, fetch, origin=made)
+    data = yaml.safe_load(path.read_text())
+    assert data["library"] == f"neuralgrasps {neuralgrasps.__version__}" and data["seed"] == 7
+    assert data["object_pose"]["position"] == {"x": 0.7, "y": 0.1, "z": 0.8} and data["confidence"] == 0.75
+    turn = data["object_pose"]["orientation"]
+    np.testing.assert_allclose([turn[k] for k in "xyzw"], [0, 0, np.sqrt(0.5), np.sqrt(0.5)], atol=1e-12)
+    assert data["table"] == {"normal": {"x": 0.0, "y": 0.0, "z": 1.0}, "height_m": 0.72}
+    read = load_pick_plan(path)
+    assert read.X_BO is not None
+    np.testing.assert_allclose(read.X_BO, X_BO, atol=1e-12)
+    unknown = load_pick_plan(save_pick_plan(tmp_path / "bare.yaml", plan, fetch))
+    assert unknown.X_BO is None and yaml.safe_load((tmp_path / "bare.yaml").read_text())["confidence"] is None
+
+
+def test_the_height_of_a_tilted_table_is_below_the_object() -> None:
+    normal = np.array([np.sin(0.1), 0.0, np.cos(0.1)])
+    table = Plane(normal, float(-normal @ [0.6, 0.2, 0.7]))
+    X_BO = make_transform_np(np.eye(3), [0.6, 0.2, 0.9])
+    assert PlanOrigin(X_BO=X_BO, table_B=table).fields()["table"]["height_m"] == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize("name", ("fetch", "panda"))
+def test_the_opening_is_what_is_between_the_jaws(name: str, plan: PickPlan, fetch: Manipulator) -> None:
+    robot = mount(load_arm("fetch"), load_hand(name))
+    grasp = replace(plan.grasp, hand=name)
+    pressing = replace(
+        plan, grasp=grasp, q_pregrasp=np.array([0.03]), q_grasp=np.array([0.02]), q_squeeze=np.array([-0.01])
+    )
+    gripper = plan_document(pressing, robot)["gripper"]
+    assert gripper["opening_m"] == {"open_hand": 0.06, "touch": 0.04, "close_hand": 0.0}
+    assert gripper["max_effort"] == robot.hand.tree.effort[0]
+    tree, pads = robot.hand.tree, []
+    for q in (0.02, 0.0):  # what the model's links say: the jaws' distance changes by the opening
+        X_HL = forward_numpy(tree, np.array([q]))
+        moving = [f.links[-1] for f in robot.hand.fingers]
+        pads.append(float(np.linalg.norm(X_HL[moving[0], :3, 3] - X_HL[moving[1], :3, 3])))
+    assert abs(pads[0] - pads[1]) == pytest.approx(0.04)
+
+
+def test_a_hand_with_fingers_has_no_opening() -> None:
+    assert gripper_opening(load_hand("allegro"), np.zeros(16)) is None
 
 
 def test_motions_of_other_joints_are_refused(plan: PickPlan, fetch: Manipulator) -> None:

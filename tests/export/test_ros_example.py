@@ -132,9 +132,11 @@ def test_goals_go_to_the_controllers_and_looks_come_from_the_topics(
     motion = smooth_motion(fetch.arm_names)
     robot.execute(motion)
     robot.move_hand(np.array([0.02]), duration_s=0.1, force=0.5)
+    robot.move_hand(np.array([-0.0146]), duration_s=0.1)  # a jaw that presses is sent beyond its limits
     assert ros.sent == [
         (example.ARM_ACTION, ros_robot.follow_goal(motion)),
         (example.GRIPPER_ACTION, {"command": {"position": 0.04, "max_effort": 30.0}}),
+        (example.GRIPPER_ACTION, {"command": {"position": 0.0, "max_effort": 60.0}}),
     ]
     np.testing.assert_array_equal(robot.state().q_arm, fetch.q_home[fetch.arm_dofs])
     np.testing.assert_allclose(robot.look().depth, 0.9)

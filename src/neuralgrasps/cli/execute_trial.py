@@ -184,11 +184,14 @@ def _record(
 
 
 def _write_plan(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:
+    from neuralgrasps.apply.table_scenes import table_plane
     from neuralgrasps.export.pick_plan import save_pick_plan
+    from neuralgrasps.export.plan_origin import PlanOrigin
 
-    plan = trial.attempts[0].plan
-    if plan is not None:
-        save_pick_plan(task.folder / PLAN_FILE, plan, manipulator)
+    first = trial.attempts[0]
+    if first.plan is not None and first.pick is not None:
+        origin = PlanOrigin(X_BO=first.X_BO_estimate, table_B=table_plane(trial.scene), seed=first.pick.seed)
+        save_pick_plan(task.folder / PLAN_FILE, first.plan, manipulator, origin=origin)
 
 
 def _draw(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:

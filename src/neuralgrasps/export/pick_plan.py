@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.errors import DataFormatError, InputError
-from neuralgrasps.export.frames import wrist_of
+from neuralgrasps.export.frames import pose_of, wrist_of
 from neuralgrasps.export.joint_trajectory import (
     KIND,
     joint_trajectory,
@@ -25,8 +25,10 @@ from neuralgrasps.export.joints import hand_joints
 from neuralgrasps.export.messages import Message, Ros, check_message
 from neuralgrasps.export.moveit_grasp import KIND as GRASP_KIND
 from neuralgrasps.export.moveit_grasp import GraspMessageConfig, moveit_grasps
+from neuralgrasps.export.plan_origin import PlanOrigin, gripper_opening
 from neuralgrasps.export.yaml_files import read_yaml, write_yaml
 from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.hands.hand import Hand
 
 if TYPE_CHECKING:
     from neuralgrasps.planning.pick import PickPlan
@@ -61,6 +63,7 @@ class PlanFile:
     Attributes:
         arm, hand, object: names. frame_id: the arm's base link, in which `grasp` is. wrist_link: whose pose it says.
         grasp: `moveit_msgs/Grasp`. steps: in order. ros: 1 or 2.
+        X_BO: (4, 4) the object in `frame_id` that was planned with; None where the file does not say it.
     """
 
     arm: str
@@ -71,10 +74,15 @@ class PlanFile:
     grasp: Message
     steps: tuple[PlanStep, ...]
     ros: Ros
+    X_BO: np.ndarray | None = None
 
 
 def plan_document(
-    plan: PickPlan, manipulator: Manipulator, *, config: GraspMessageConfig | None = None
+    plan: PickPlan,
+    manipulator: Manipulator,
+    *,
+    config: GraspMessageConfig | None = None,
+    origin: PlanOrigin | None = None,
 ) -> dict[str, Any]:
     """A pick as the dict that YAML holds.
 
@@ -82,8 +90,13 @@ def plan_document(
     `trajectory_msgs/JointTrajectory`: the hand opens to the pre-grasp, transfer, approach, the hand closes and presses,
     lift. Steps begin when the one before has ended; a step of the hand is a posture and the time it may take.
 
+    Postures of the hand are clamped to the joint limits (`plan.q_squeeze` may lie beyond them, see `grip_target`); the
+    force is `effort` of the closing points. `gripper` says the same for a jaw that is sent an opening: `opening_m`,
+    metres between the pads, before, where they touch (expected, not to be sent), and to close; `max_effort` in newtons.
+
     Args:
-        config: times, distances, ROS version and the robot's joint names.
+        config: times, distances, force, ROS version and the robot's joint names.
+        origin: pose of the object, its confidence, the table, the seed; written where known, else null.
     Raises:
         InputError: the plan's grasp is of another hand, or its motions of other joints.
     """
@@ -91,7 +104,7 @@ def plan_document(
     hand, ros = manipulator.hand, config.ros
     wrist, base = wrist_of(manipulator), manipulator.arm.tree.link_names[0]
     (grasp,) = moveit_grasps(
-        plan.grasp,
+        replace(plan.grasp, q_pregrasp=plan.q_pregrasp[None], q=plan.q_grasp[None], q_squeeze=plan.q_squeeze[None]),
         hand,
         frame_id=base,
         X_frame_O=plan.X_BH @ inverse_np(plan.grasp.X_OH[0]),
@@ -102,8 +115,8 @@ def plan_document(
     joints = hand_joints(hand, names=config.joint_names)
 
     def posture(points: Sequence[tuple[np.ndarray, float]], *, press: bool) -> Message:
-        effort = joints.effort if press else None
-        made = [trajectory_point(joints.positions(q), t, effort=effort, ros=ros) for q, t in points]
+        effort = config.force * joints.effort if press else None
+        made = [trajectory_point(joints.targets(q), t, effort=effort, ros=ros) for q, t in points]
         return posture_trajectory(joints.names, made, ros=ros)
 
     def motion(name: str) -> Message:
@@ -130,20 +143,35 @@ def plan_document(
         "object": plan.grasp.object,
         "frame_id": base,
         "wrist_link": wrist.link,
+        **(origin or PlanOrigin()).fields(),
+        "gripper": _gripper(plan, hand, config.force),
         "grasp": grasp,
         "plan": [{"name": n, "group": g, "kind": KIND, "message": messages[n]} for n, g in STEPS],
     }
 
 
+def _gripper(plan: PickPlan, hand: Hand, force: float) -> Message | None:
+    postures = {"open_hand": plan.q_pregrasp, "touch": plan.q_grasp, "close_hand": plan.q_squeeze}
+    openings = {name: gripper_opening(hand, q) for name, q in postures.items()}
+    if None in openings.values():
+        return None
+    return {"opening_m": openings, "max_effort": force * float(hand.tree.effort.max())}
+
+
 def save_pick_plan(
-    path: str | os.PathLike[str], plan: PickPlan, manipulator: Manipulator, *, config: GraspMessageConfig | None = None
+    path: str | os.PathLike[str],
+    plan: PickPlan,
+    manipulator: Manipulator,
+    *,
+    config: GraspMessageConfig | None = None,
+    origin: PlanOrigin | None = None,
 ) -> Path:
     """Write `plan_document(...)` as YAML; equal plans, equal bytes. Returns the path.
 
     Raises:
         StorageError: it cannot be written. InputError: as `plan_document`.
     """
-    data = plan_document(plan, manipulator, config=config)
+    data = plan_document(plan, manipulator, config=config, origin=origin)
     return write_yaml(path, data, comment=f"pick '{data['object']}' with '{manipulator.name}', step by step")
 
 
@@ -168,7 +196,18 @@ def load_pick_plan(path: str | os.PathLike[str]) -> PlanFile:
         grasp=data["grasp"],
         steps=tuple(_steps(data["plan"], ros, path)),
         ros=ros,
+        X_BO=_object_pose(data.get("object_pose"), ros, path),
     )
+
+
+def _object_pose(fields: Any, ros: Ros, path: str | os.PathLike[str]) -> np.ndarray | None:
+    if fields is None:
+        return None
+    check_message("geometry_msgs/Pose", fields, ros=ros, name=f"'{path}': object_pose")
+    try:
+        return pose_of(fields)
+    except InputError as error:
+        raise DataFormatError(f"'{path}': object_pose: {error}") from error
 
 
 def _steps(listed: Any, ros: Ros, path: str | os.PathLike[str]) -> list[PlanStep]:
