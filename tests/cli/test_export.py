@@ -72,7 +72,14 @@ def test_isaac_file_with_grasps_that_failed(ng: Call, file: Path, tmp_path: Path
 @pytest.mark.parametrize(
     ("options", "said"),
     (
-        (("--format", "isaac", "--arm", "fetch"), "--arm are of --format moveit"),
+        (
+            ("--format", "isaac", "--arm", "fetch"),
+            "--arm is an option of --format moveit; an isaac_grasp file has no place for it",
+        ),
+        (
+            ("--format", "isaac", "--arm", "fetch", "--frame", "b"),
+            "--arm, --frame are options of --format moveit; an isaac_grasp file has no place for them",
+        ),
         (("--format", "moveit", "--pose", 0, 0, 0, 0, 0, 0, 1), "name that frame with --frame"),
         (("--format", "moveit", "--frame", "b", "--pose", 0, 0, 0, 1, 1, 1, 1), "quaternion of length 2"),
         (("--format", "moveit", "--count", 0), "--count is 0"),
@@ -99,3 +106,18 @@ def test_files_that_hold_nothing_to_export(ng: Call, file: Path, tmp_path: Path)
     assert missing.code == 2 and "no.safetensors" in missing.err
     folder = ng("export", file, "--format", "isaac", "--out", tmp_path)
     assert folder.code == 2 and "is a folder" in folder.err
+
+
+@pytest.mark.parametrize(
+    ("first", "said"),
+    (
+        ("# pick 'box' with 'fetch+fetch', step by step\nformat: neuralgrasps.pick_plan\n", "is the plan of one pick"),
+        ("format: moveit_msgs/Grasp[]\n", "already holds exported grasps (moveit_msgs/Grasp[])"),
+        ("# 2 grasps\nformat: isaac_grasp\n", "already holds exported grasps (isaac_grasp)"),
+    ),
+)
+def test_files_that_were_exported_are_no_grasp_files(ng: Call, tmp_path: Path, first: str, said: str) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_text(first + "version: 1\n")
+    ended = ng("export", path, "--format", "moveit", "--out", tmp_path / "o.yaml")
+    assert ended.code == 2 and said in ended.err.replace("\n", " ") and "damaged" not in ended.err

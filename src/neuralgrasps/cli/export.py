@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
 
+_START = 4096  # bytes in which a file's format stands
 WORLD = "world"  # MoveIt's planning frame, where nothing else says which way is up
 
 Pose = Annotated[
@@ -69,6 +71,7 @@ def export(
 
     check_writable(out)
     _check_options(format, {"--arm": arm, "--frame": frame, "--pose": pose, "--up-frame": up_frame}, frame, pose)
+    _check_not_exported(grasps)
     loaded = load_grasps(grasps)
     model = load_hand(hand or loaded.hand)
     index = _chosen(loaded, count=count, failed=failed, path=grasps)
@@ -102,9 +105,33 @@ def export(
 def _check_options(format: str, moveit_only: dict[str, object], frame: str | None, pose: object) -> None:
     given = [name for name, value in moveit_only.items() if value is not None]
     if format == "isaac" and given:
-        raise InputError(f"{', '.join(given)} are of --format moveit; an isaac_grasp file has none of these.")
+        are, them = ("is an option", "it") if len(given) == 1 else ("are options", "them")
+        raise InputError(
+            f"{', '.join(given)} {are} of --format moveit; an isaac_grasp file has no place for {them}. "
+            f"Leave {them} out."
+        )
     if pose is not None and frame is None:
         raise InputError("--pose is the object's pose in a frame; name that frame with --frame.")
+
+
+def _check_not_exported(path: Path) -> None:
+    """Say what a file is that we wrote as YAML, before it is read as a grasp file."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(_START)
+    except OSError:
+        return  # reading the grasps says why
+    found = re.search(rb"^format: *['\"]?([\w./\[\]]+)", start, re.MULTILINE)
+    kind = found[1].decode(errors="replace") if found else ""
+    if kind == "neuralgrasps.pick_plan":
+        raise InputError(
+            f"'{path}' is the plan of one pick, not a grasp file, and is in its own format for robots already "
+            "(docs/conventions.md). Give the grasp file that `synthesise` or `novel` wrote."
+        )
+    if kind in ("moveit_msgs/Grasp[]", "isaac_grasp"):
+        raise InputError(
+            f"'{path}' already holds exported grasps ({kind}). Give the grasp file that `synthesise` or `novel` wrote."
+        )
 
 
 def _chosen(grasps: GraspSet, *, count: int | None, failed: bool, path: Path) -> np.ndarray:
