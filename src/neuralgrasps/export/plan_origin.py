@@ -51,7 +51,8 @@ def _table(plane: Plane, X_BO: np.ndarray | None) -> Message:
     if normal[2] < 0.1:
         raise InputError(f"the table's normal in the robot base is {normal.tolist()}; expected one that points up.")
     at = np.zeros(2) if X_BO is None else X_BO[:2, 3]
-    return {"normal": xyz(normal), "height_m": float(-(plane.offset_m + normal[:2] @ at) / normal[2])}
+    height_m = 0.0 - float((plane.offset_m + normal[:2] @ at) / normal[2])  # 0, not -0
+    return {"normal": xyz(normal), "height_m": height_m}
 
 
 def gripper_opening(hand: Hand, q: np.ndarray) -> float | None:
