@@ -97,7 +97,16 @@ def test_home_is_free_where_the_middle_of_the_ranges_is_not(write):
 
 def test_speeds_that_are_missing_or_zero_are_assumed_and_said(write):
     arm = load_arm(write(robot(arm_urdf(limit='lower="-2" upper="2" effort="50" velocity="0"'))))
-    assert arm.velocity.tolist() == [1.0] * 6 and "no usable speed limit for joint0, " in arm.extra["assumed"]
+    assert arm.velocity.tolist() == [1.0] * 6
+    assert "no usable speed limit for joint0 (found 0), joint1 (found 0)" in arm.extra["assumed"]
+    arm = load_arm(
+        write(
+            robot(arm_urdf(limit='lower="-2" upper="2" effort="50"')).replace(
+                'effort="50"', 'effort="50" velocity="-3"', 1
+            )
+        )
+    )
+    assert "joint0 (found -3), joint1 (none)" in arm.extra["assumed"]
 
 
 def test_a_joint_without_limits_turns_on_and_on(write):

@@ -25,21 +25,49 @@ def find_flange(name: str, outline: RobotOutline) -> str:
         RobotDescriptionError: none, or several; the message lists them.
     """
     tree = outline.tree
+    found = _candidates(outline)
+    if not found:
+        most = max(_joints_before(tree, i) for i in range(tree.num_links))
+        raise RobotDescriptionError(
+            f"robot '{name}' has no arm: no link is moved by {MIN_JOINTS} joints or more (the most is {most})."
+        )
+    return _only(name, found)
+
+
+def further_flange(outline: RobotOutline, flange: str) -> str:
+    """A sentence when the chain goes on from `flange` to a link that more joints move; "" when it does not."""
+    tree = outline.tree
+    if flange not in tree.link_names:
+        return ""
+    at = tree.link_names.index(flange)
+    here = _joints_before(tree, at)
+    beyond = [n for n in _candidates(outline) if at in _links_before(tree, tree.link_names.index(n))]
+    there = _joints_before(tree, tree.link_names.index(beyond[0])) if len(beyond) == 1 else 0
+    if there <= here:
+        return ""
+    return f"the flange '{flange}' is moved by {here} joints; the arm goes on to '{beyond[0]}' with {there}: cut off."
+
+
+def _candidates(outline: RobotOutline) -> list[str]:
+    tree = outline.tree
     joints = [_joints_before(tree, i) for i in range(tree.num_links)]
     for usual in FLANGE_NAMES:
         found = [n for n, k in zip(tree.link_names, joints, strict=True) if n.endswith(usual) and k >= MIN_JOINTS]
         if found:
-            return _only(name, found)
+            return found
     hands = [tree.link_names.index(n) for n in hand_links(outline)]
     if hands:
-        return _only(name, [tree.link_names[tree.parents[i]] for i in hands if i])
+        return [tree.link_names[tree.parents[i]] for i in hands if i]
     parents = set(tree.parents.tolist())
-    tips = [n for i, n in enumerate(tree.link_names) if i not in parents and joints[i] >= MIN_JOINTS]
-    if not tips:
-        raise RobotDescriptionError(
-            f"robot '{name}' has no arm: no link is moved by {MIN_JOINTS} joints or more (the most is {max(joints)})."
-        )
-    return _only(name, tips)
+    return [n for i, n in enumerate(tree.link_names) if i not in parents and joints[i] >= MIN_JOINTS]
+
+
+def _links_before(tree: KinematicTree, link: int) -> list[int]:
+    before = []
+    while link > 0:
+        link = int(tree.parents[link])
+        before.append(link)
+    return before
 
 
 def _only(name: str, links: Sequence[str]) -> str:

@@ -7,17 +7,19 @@ from itertools import combinations
 
 import numpy as np
 
+from neuralgrasps.arms.ready import ReadyPostures, ReadyScene
 from neuralgrasps.errors import RobotDescriptionError
 from neuralgrasps.hands.chains import rigid_bodies
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.parts import bounding_sphere, part_distances, sample_part
 from neuralgrasps.kinematics.forward_kernels import forward_fast
-from neuralgrasps.kinematics.tree import KinematicTree
+from neuralgrasps.kinematics.tree import PRISMATIC, KinematicTree
 from neuralgrasps.seeds import child_rng
 
 TRIES = 256
 _MARGIN = 0.01  # m between links in a posture to start from
 _DENSITY = 4000.0  # surface points per square metre: 16 mm apart
+_ENOUGH_TURNING = 5  # turning joints that reach any posture; sliding ones rest in their middle then
 _SAMPLES = 24  # random postures that tell which links always touch
 
 
@@ -73,9 +75,9 @@ class SelfClearance:
 
 
 def free_posture(
-    tree: KinematicTree, parts: Sequence[ConvexPart], joints: np.ndarray, stated: Mapping[str, float]
+    tree: KinematicTree, parts: Sequence[ConvexPart], joints: np.ndarray, stated: Mapping[str, float], scene: ReadyScene
 ) -> np.ndarray:
-    """(Q,) a posture in which nothing touches, near the middle of the planned joints' ranges.
+    """(Q,) a natural posture in which nothing touches, clear of the table of `scene` where the arm can be.
 
     Args:
         joints: (D,) indices of the planned joints; the others are at rest: at 0, or the limit next to it.
@@ -83,13 +85,35 @@ def free_posture(
     Raises:
         RobotDescriptionError: none of `TRIES` postures is free.
     """
+    middle, fixed = middle_posture(tree, joints, stated)
+    clearance = SelfClearance(tree, parts, middle, np.flatnonzero(~fixed))
+    slides = np.array([tree.joint_types[tree.joint_names.index(n)] == PRISMATIC for n in tree.dof_names], bool)
+    swings = ~fixed & ~slides if (~slides[joints]).sum() >= _ENOUGH_TURNING else ~fixed
+    if (swings & ~slides).any():
+        ready = ReadyPostures(tree, parts, scene, middle, np.flatnonzero(swings))
+        free = [q for q in ready.search() if clearance(q) > _MARGIN and ready.hand_gap(q) > _MARGIN]
+        clear = [q for q in free if ready.table_gap(forward_fast(tree, q[None]))[0] > _MARGIN]
+        if clear or free:
+            return (clear or free)[0]
+    return _near_middle(tree, clearance, middle, fixed)
+
+
+def middle_posture(
+    tree: KinematicTree, joints: np.ndarray, stated: Mapping[str, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(Q,) the planned joints in the middle of their ranges, others at rest, `stated` ones there; (Q,) bool: fixed."""
     middle = np.clip(0.0, tree.lower, tree.upper)
     middle[joints] = 0.5 * (tree.lower + tree.upper)[joints]
     fixed = np.ones(tree.num_dofs, bool)
     fixed[joints] = False
     for name, value in stated.items():
         middle[tree.dof_names.index(name)], fixed[tree.dof_names.index(name)] = value, True
-    clearance, rng = SelfClearance(tree, parts, middle, np.flatnonzero(~fixed)), child_rng(0, "free-posture")
+    return middle, fixed
+
+
+def _near_middle(tree: KinematicTree, clearance: SelfClearance, middle: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """(Q,) a posture that does not touch itself, as near the middle as chance finds one."""
+    rng = child_rng(0, "free-posture")
     for attempt in range(TRIES):
         reach = min(1.0, attempt / (TRIES / 2))  # grows from the middle outwards
         q = middle + reach * rng.uniform(-0.5, 0.5, tree.num_dofs) * (tree.upper - tree.lower)

@@ -8,12 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.arms.arm import Arm, ArmCamera
-from neuralgrasps.arms.flange import MIN_JOINTS, find_face
-from neuralgrasps.arms.home import free_posture
+from neuralgrasps.arms.flange import FLANGE_NAMES, MIN_JOINTS, find_face
+from neuralgrasps.arms.home import free_posture, middle_posture
 from neuralgrasps.arms.notes import ArmNotes, CameraNotes
+from neuralgrasps.arms.ready import ReadyScene
 from neuralgrasps.errors import RobotDescriptionError, unknown_name
 from neuralgrasps.hands.hand import ConvexPart
 from neuralgrasps.hands.loader import convex_parts
+from neuralgrasps.kinematics.assemble import DEFAULT_FORCE, DEFAULT_TORQUE
 from neuralgrasps.kinematics.description import RobotDescription
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.subtree import without_links_beyond
@@ -23,6 +25,7 @@ TURN = 2 * np.pi  # a continuous joint may turn once to either side
 DEFAULT_SPEED = 1.0  # rad/s, where a file gives none: below that of every arm in common use
 DEFAULT_TRAVEL_SPEED = 0.1  # m/s, the Fetch torso's
 _TABLE_BELOW_SHOULDER_M = 0.35
+_ARM_NM, _WRIST_NM, _SLIDING_N = 150.0, 30.0, 2000.0  # carry an arm of 1 m and 5 kg
 RISE_TIME = 0.5  # s to reach the largest speed, where nothing states the acceleration
 
 
@@ -51,8 +54,10 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
     velocity = _speeds(description, tree, notes, assumed)
     acceleration = _accelerations(tree, notes, velocity, assumed)
     joints = _planned(name, tree, link, notes)
-    X_FM = find_face(tree, parts, link) if notes.X_FM is None else notes.X_FM
-    q_home = _home(tree, parts, joints, notes)
+    tree = _with_efforts(description, tree, joints, assumed)
+    X_FM = _face(tree, parts, link, assumed) if notes.X_FM is None else notes.X_FM
+    table = _table_height(tree, link, joints, notes, assumed)
+    q_home = _home(tree, parts, joints, notes, ReadyScene(flange=link, X_FM=X_FM, table_height_m=table), assumed)
     return Arm(
         name=name,
         tree=tree,
@@ -65,7 +70,7 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
         velocity=velocity,
         acceleration=acceleration,
         camera=None if notes.camera is None else _camera(name, tree, notes.camera),
-        table_height_m=_table_height(tree, link, q_home) if notes.table_height_m is None else notes.table_height_m,
+        table_height_m=table,
         licence=notes.licence or "not stated",
         provenance=notes.provenance or description.source.name,
         extra={
@@ -75,13 +80,31 @@ def arm_from_description(description: RobotDescription, notes: ArmNotes, *, flan
     )
 
 
-def _table_height(tree: KinematicTree, flange: int, q_home: np.ndarray) -> float:
+def _table_height(tree: KinematicTree, flange: int, joints: np.ndarray, notes: ArmNotes, lines: list[str]) -> float:
     """A table 35 cm below the second turning joint, the shoulder; at the base of an arm that stands on its table."""
+    if notes.table_height_m is not None:
+        return notes.table_height_m
     chain = [flange]
     while tree.parents[chain[-1]] >= 0:
         chain.append(int(tree.parents[chain[-1]]))
     turning = [i for i in reversed(chain) if tree.joint_types[i] == REVOLUTE]
-    return max(0.0, float(forward_numpy(tree, q_home)[turning[1], 2, 3]) - _TABLE_BELOW_SHOULDER_M)
+    shoulder = turning[min(1, len(turning) - 1)] if turning else flange
+    middle, _ = middle_posture(tree, joints, _stated(notes))
+    height = max(0.0, float(forward_numpy(tree, middle)[shoulder, 2, 3]) - _TABLE_BELOW_SHOULDER_M)
+    lines.append(f"table_height is not stated: {height:.2f} m above the base, from the height of the shoulder.")
+    return height
+
+
+def _face(tree: KinematicTree, parts: Sequence[ConvexPart], flange: int, lines: list[str]) -> np.ndarray:
+    X_FM, name = find_face(tree, parts, flange), tree.link_names[flange]
+    if not name.endswith(FLANGE_NAMES):
+        x, y, z = 1e3 * X_FM[:3, 3]
+        out = ", ".join(f"{v + 0.0:.2f}" for v in np.round(X_FM[:3, 2], 2))
+        lines.append(
+            f"no [face] is stated and '{name}' is no {FLANGE_NAMES[0]} or {FLANGE_NAMES[1]} frame: the mounting face "
+            f"is at the end of its shape, ({x:.1f}, {y:.1f}, {z:.1f}) mm, out along ({out})."
+        )
+    return X_FM
 
 
 def _check_limits(name: str, description: RobotDescription) -> None:
@@ -126,12 +149,54 @@ def _planned(name: str, tree: KinematicTree, flange: int, notes: ArmNotes) -> np
     return np.array(chain, np.int64)
 
 
-def _home(tree: KinematicTree, parts: Sequence[ConvexPart], joints: np.ndarray, notes: ArmNotes) -> np.ndarray:
-    stated = {n: j.home for n, j in notes.joints.items() if j.home is not None}
-    if all(tree.dof_names[j] in stated for j in joints):
+def _stated(notes: ArmNotes) -> dict[str, float]:
+    return {n: j.home for n, j in notes.joints.items() if j.home is not None}
+
+
+def _home(
+    tree: KinematicTree,
+    parts: Sequence[ConvexPart],
+    joints: np.ndarray,
+    notes: ArmNotes,
+    scene: ReadyScene,
+    lines: list[str],
+) -> np.ndarray:
+    stated = _stated(notes)
+    missing = [tree.dof_names[j] for j in joints if tree.dof_names[j] not in stated]
+    if not missing:
         rest = np.clip(0.0, tree.lower, tree.upper)
         return np.array([stated.get(n, rest[j]) for j, n in enumerate(tree.dof_names)], float)
-    return free_posture(tree, parts, joints, stated)
+    lines.append(f"home is not stated for {', '.join(missing)}: a posture above the table was searched.")
+    return free_posture(tree, parts, joints, stated, scene)
+
+
+def _with_efforts(
+    description: RobotDescription, tree: KinematicTree, joints: np.ndarray, lines: list[str]
+) -> KinematicTree:
+    """The tree with efforts that carry an arm where the file has none that can be used; `lines` says which."""
+    slides = [tree.joint_types[tree.joint_names.index(n)] == PRISMATIC for n in tree.dof_names]
+    turning = [int(j) for j in joints if not slides[j]]
+    wrist = turning[max(3, len(turning) - 3) :]
+    effort, assumed = tree.effort.copy(), []
+    for j, name in enumerate(tree.dof_names):
+        drive = description.drives.get(name)
+        found = None if drive is None else drive.effort
+        follower = tree.effort[j] != (DEFAULT_FORCE if slides[j] else DEFAULT_TORQUE)
+        if _usable(found) or follower:
+            continue
+        effort[j] = _SLIDING_N if slides[j] else _WRIST_NM if j in wrist else _ARM_NM
+        assumed.append(f"{name} ({_found(found)}): {effort[j]:g} {'N' if slides[j] else 'N m'}")
+    if assumed:
+        lines.append(f"no usable effort limit in the file; assumed for {', '.join(assumed)}.")
+    return replace(tree, effort=effort)
+
+
+def _usable(value: float | None) -> bool:
+    return value is not None and 0 < value < np.inf
+
+
+def _found(value: float | None) -> str:
+    return "none" if value is None else f"found {value:g}"
 
 
 def _camera(name: str, tree: KinematicTree, notes: CameraNotes) -> ArmCamera:
@@ -142,7 +207,11 @@ def _camera(name: str, tree: KinematicTree, notes: CameraNotes) -> ArmCamera:
 
 def _repairs(lines: Sequence[str], endless: Sequence[str]) -> list[str]:
     """Remarks of the reader, with the limits that joints that turn without end get in an arm."""
-    replaced = ("continuous joints were given", *(f"joint '{name}' has no lower and upper limit" for name in endless))
+    replaced = (
+        "continuous joints were given",
+        "effort is ",
+        *(f"joint '{name}' has no lower and upper limit" for name in endless),
+    )
     found = [line for line in lines if not line.startswith(replaced)]
     return (
         [*found, f"joints that turn without end have the limits -2 pi..2 pi: {', '.join(endless)}."]
@@ -157,10 +226,10 @@ def _speeds(description: RobotDescription, tree: KinematicTree, notes: ArmNotes,
     for j, name in enumerate(tree.dof_names):
         drive, given = description.drives.get(name), notes.joints.get(name)
         found = [given.velocity if given else None, drive.velocity if drive else None]
-        usable = [v for v in found if v is not None and 0 < v < np.inf]
+        usable = [v for v in found if v is not None and _usable(v)]
         slides = tree.joint_types[tree.joint_names.index(name)] == PRISMATIC
         speeds[j] = usable[0] if usable else (DEFAULT_TRAVEL_SPEED if slides else DEFAULT_SPEED)
-        assumed += [] if usable else [name]
+        assumed += [] if usable else [f"{name} ({_found(drive.velocity if drive else None)})"]
     if assumed:
         lines.append(
             f"no usable speed limit for {', '.join(assumed)}: {DEFAULT_SPEED:g} rad/s or "

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 from neuralgrasps.arms.arm import Arm
-from neuralgrasps.arms.flange import find_flange
+from neuralgrasps.arms.flange import find_flange, further_flange
 from neuralgrasps.arms.loader import arm_from_description
 from neuralgrasps.arms.notes import ArmNotes, load_arm_notes
 from neuralgrasps.errors import unknown_name
@@ -60,8 +61,12 @@ def load_arm(
         path = robot_file(name_or_path, kind="arm", built_in=_ARMS)
     notes = _notes_beside(path)
     description = load_robot(path, link=base or notes.base, missing_meshes=missing_meshes)
-    chosen = flange or notes.flange or find_flange(description.name, outline_robot(path))
-    return arm_from_description(description, notes, flange=chosen)
+    outline = outline_robot(path)
+    chosen = flange or notes.flange or find_flange(description.name, outline)
+    arm = arm_from_description(description, notes, flange=chosen)
+    further = further_flange(outline, chosen)
+    said = [line for line in (further, arm.extra["assumed"]) if line]
+    return replace(arm, extra={**arm.extra, "assumed": "\n".join(said)})
 
 
 def _notes_beside(path: Path) -> ArmNotes:

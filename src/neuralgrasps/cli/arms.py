@@ -11,6 +11,8 @@ from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Cell, Outcome, Terminal
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from neuralgrasps.arms.arm import Arm
     from neuralgrasps.arms.manipulator import Manipulator
 
@@ -76,6 +78,8 @@ def _describe(terminal: Terminal, robot: Manipulator) -> None:
     facts: list[tuple[str, Cell]] = [
         ("planned joints", len(arm.joints)),
         ("flange", arm.tree.link_names[arm.flange]),
+        ("mounting face", f"{_millimetres(arm.X_FM)} of the flange, out along {_direction(arm.X_FM)}"),
+        ("home", _home(arm)),
         ("camera", "none" if arm.camera is None else f"on {arm.tree.link_names[arm.camera.link]}"),
         ("table", f"{arm.table_height_m:.2f} m above the base"),
         ("convex parts", len(arm.parts)),
@@ -90,8 +94,22 @@ def _describe(terminal: Terminal, robot: Manipulator) -> None:
 
 
 def _place(robot: Manipulator) -> str:
-    x, y, z = 1e3 * robot.tree.X_parent_joint[robot.hand_link, :3, 3]
-    return f"({x:.1f}, {y:.1f}, {z:.1f}) mm"
+    return _millimetres(robot.tree.X_parent_joint[robot.hand_link])
+
+
+def _millimetres(X: np.ndarray) -> str:
+    return "({:.1f}, {:.1f}, {:.1f}) mm".format(*(1e3 * float(v) + 0.0 for v in X[:3, 3]))
+
+
+def _direction(X: np.ndarray) -> str:
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(round(float(v), 2) + 0.0 for v in X[:3, 2]))
+
+
+def _home(arm: Arm) -> str:
+    from neuralgrasps.kinematics.forward_kernels import forward_numpy
+
+    X_BM = forward_numpy(arm.tree, arm.q_home)[arm.flange] @ arm.X_FM
+    return f"mounting face at {_millimetres(X_BM)} of the base, looking along {_direction(X_BM)}"
 
 
 def _slides(arm: Arm, joint: int) -> bool:

@@ -62,13 +62,14 @@ class JointDrive:
 
     Attributes:
         lower, upper: limits as they are written, rad or metres; unlike the tree's, not mended.
-        velocity: largest speed, rad/s or m/s.
+        velocity: largest speed, rad/s or m/s; effort: largest torque or force, N m or N.
         continuous: the joint turns without end.
     """
 
     lower: float | None = None
     upper: float | None = None
     velocity: float | None = None
+    effort: float | None = None
     continuous: bool = False
 
 

@@ -188,7 +188,7 @@ class _Reader:
         limited = bool(model.jnt_limited[j])
         mimic = coupled if isinstance(coupled, Mimic) else None
         endless = not limited and coupled is None and model.jnt_type[j] == HINGE
-        self.drives[self.joint_name(j)] = JointDrive(continuous=bool(endless))
+        self.drives[self.joint_name(j)] = JointDrive(effort=effort, continuous=bool(endless))
         if isinstance(coupled, float):
             lower, upper, limited = coupled, coupled, True
         return JointSpec(

@@ -247,7 +247,7 @@ class _Reader:
         joint_type = self._joint_type(element, where)
         lower, upper, effort, velocity = self._limits(element, where)
         endless = element.get("type") == "continuous"
-        self.drives[name] = JointDrive(lower=lower, upper=upper, velocity=velocity, continuous=endless)
+        self.drives[name] = JointDrive(lower=lower, upper=upper, velocity=velocity, effort=effort, continuous=endless)
         if endless:
             lower, upper = -math.pi, math.pi
             self.continuous.append(name)
