@@ -86,16 +86,17 @@ def free_posture(
         RobotDescriptionError: none of `TRIES` postures is free.
     """
     middle, fixed = middle_posture(tree, joints, stated)
-    clearance = SelfClearance(tree, parts, middle, np.flatnonzero(~fixed))
     slides = np.array([tree.joint_types[tree.joint_names.index(n)] == PRISMATIC for n in tree.dof_names], bool)
     swings = ~fixed & ~slides if (~slides[joints]).sum() >= _ENOUGH_TURNING else ~fixed
     if (swings & ~slides).any():
         ready = ReadyPostures(tree, parts, scene, middle, np.flatnonzero(swings))
-        free = [q for q in ready.search() if clearance(q) > _MARGIN and ready.hand_gap(q) > _MARGIN]
-        clear = [q for q in free if ready.table_gap(forward_fast(tree, q[None]))[0] > _MARGIN]
-        if clear or free:
-            return (clear or free)[0]
-    return _near_middle(tree, clearance, middle, fixed)
+        clearance = SelfClearance(tree, parts, middle, np.flatnonzero(swings))
+        postures = ready.search()
+        gaps = ready.table_gap(forward_fast(tree, postures))
+        for q in (*postures[gaps > _MARGIN], *postures[gaps <= _MARGIN]):
+            if ready.hand_gap(q) > _MARGIN and clearance(q) > _MARGIN:
+                return q
+    return _near_middle(tree, SelfClearance(tree, parts, middle, np.flatnonzero(~fixed)), middle, fixed)
 
 
 def middle_posture(
