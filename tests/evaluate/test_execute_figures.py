@@ -27,6 +27,7 @@ SCENE = SceneRecord(
     plan_cpu_s=0.02,
     grasps_cpu_s=0.1,
     tried=1,
+    wall_s=0.0,
     reasons=(),
 )
 

@@ -19,7 +19,7 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.collision import CollisionChecker
-from neuralgrasps.planning.lift_proof import lift_proof
+from neuralgrasps.planning.lift_proof import LiftProof, lift_proof
 from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
 from neuralgrasps.planning.table_grasps import grasps_on_table
@@ -157,7 +157,7 @@ def plan_in(
     for stage in config.stages:
         cpu = time.thread_time()
         found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=stage.count)
-        proof = None if stage.friction is None else lift_proof(hand, target.obj, plane_O, stage.friction)
+        proof = None if stage.friction is None else _proof(manipulator, world, plane_O, stage.friction, config)
         made += time.thread_time() - cpu
         if len(found.grasps) == 0:
             return None, f"no grasp clears the table: {found.reason}", made
@@ -173,6 +173,14 @@ def plan_in(
     if result is None:
         raise InputError("PickUpConfig.stages is empty; expected at least one Stage.")
     return replace(result, cpu_s=planned), result.reason, made
+
+
+def _proof(
+    manipulator: Manipulator, world: PlanningWorld, plane_O: Plane, friction: float, config: PickUpConfig
+) -> LiftProof:
+    assert world.target is not None
+    grip = min(config.plan.grip, config.force)
+    return lift_proof(manipulator.hand, world.target.obj, plane_O, friction_scale=friction, grip=grip)
 
 
 def within_limits(manipulator: Manipulator, q_arm: np.ndarray) -> np.ndarray:
@@ -257,6 +265,13 @@ def pick_up(
     if proposal.plan is not None:
         carry_out(robot, proposal.plan, config=config)
     return proposal
+
+
+def set_down(robot: Robot, plan: PickPlan) -> None:
+    """After a lift: the same way down, open the hand, and back to the standoff."""
+    robot.execute(plan.lift.reversed())
+    robot.move_hand(plan.q_pregrasp, duration_s=0.8)
+    robot.execute(plan.approach.reversed())
 
 
 def go_home(robot: Robot, world: PlanningWorld, *, speed: float = 0.7, seed: int = 0) -> str:

@@ -15,7 +15,7 @@ from neuralgrasps.geometry.se3_numpy import axis_angle_matrix, make_transform_np
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_rng, child_seed
-from neuralgrasps.sim.camera import STRUCTURED_LIGHT
+from neuralgrasps.sim.camera import STRUCTURED_LIGHT, DepthNoise
 from neuralgrasps.sim.contact_log import Thing
 from neuralgrasps.sim.tabletop import Recording, TableTop
 from neuralgrasps.sim.tabletop_model import TableTopConfig
@@ -32,7 +32,7 @@ class SimulatedRobot:
         scene: table and objects. config: of the physics. record_every_s: states kept for pictures; None: none.
         camera_off_m, camera_off_rad: how far the camera is from where the robot believes it to be, in a direction and
             about an axis that the seed draws once: an error of calibration.
-        seed: of the camera's noise; every look draws anew.
+        sensor: the camera's noise. seed: of it; every look draws anew.
     """
 
     def __init__(
@@ -44,11 +44,13 @@ class SimulatedRobot:
         record_every_s: float | None = None,
         camera_off_m: float = 0.0,
         camera_off_rad: float = 0.0,
+        sensor: DepthNoise = STRUCTURED_LIGHT,
         seed: int = 0,
     ) -> None:
         if manipulator.arm.camera is None:
             manipulator = replace(manipulator, arm=replace(manipulator.arm, camera=camera_beside(manipulator.arm)))
         self._manipulator = manipulator
+        self._sensor = sensor
         self._X_CC = _camera_error(camera_off_m, camera_off_rad, seed)
         self.scene, self.seed = scene, seed
         self.table_top = TableTop(manipulator, [(p.obj, p.X_BO) for p in scene.objects], scene.table, config=config)
@@ -64,7 +66,7 @@ class SimulatedRobot:
         return RobotState(q_arm=self.table_top.q_arm, q_hand=self.table_top.q_hand, time_s=self.table_top.time_s)
 
     def look(self) -> Frame:
-        view = self.table_top.depth_view(STRUCTURED_LIGHT, child_seed(self.seed, "look", self._looks))
+        view = self.table_top.depth_view(self._sensor, child_seed(self.seed, "look", self._looks))
         self._looks += 1
         return Frame(
             depth=view.depth, intrinsics=view.intrinsics, X_WC=view.X_WC @ self._X_CC, name=f"look {self._looks}"

@@ -133,11 +133,13 @@ def _default_hand(arm: str) -> str:
     Raises:
         InputError: another arm, whose hand must be given.
     """
-    from neuralgrasps.arms.zoo import arm_names
+    from neuralgrasps.arms.zoo import arm_names, load_arm
     from neuralgrasps.hands.zoo import hand_names
 
     if arm in hand_names() and arm in arm_names():
         return arm
+    if not Path(arm).exists():
+        load_arm(arm)  # says what is wrong with it first
     raise InputError(
         f"--hand is missing: arm '{arm}' comes with none. Give a name ({', '.join(hand_names())}) or a file."
     )

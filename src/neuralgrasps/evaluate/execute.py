@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from neuralgrasps.apply.pick_up import PickProposal, PickUpConfig, go_home, pick_steps, plan_in, propose_pick
+from neuralgrasps.apply.pick_up import PickProposal, PickUpConfig, go_home, pick_steps, plan_in, propose_pick, set_down
 from neuralgrasps.apply.simulated_robot import SimulatedRobot
 from neuralgrasps.apply.table_scenes import TableScene
 from neuralgrasps.arms.manipulator import Manipulator
@@ -21,6 +21,7 @@ from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.pick import PickPlan, PickResult
 from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
+from neuralgrasps.sim.camera import STRUCTURED_LIGHT, DepthNoise
 from neuralgrasps.sim.recheck import PathCheck, recheck_path
 from neuralgrasps.sim.tabletop import Recording
 from neuralgrasps.sim.tabletop_model import TableTopConfig
@@ -43,7 +44,7 @@ class ExecuteConfig:
         retries: further attempts, each with a new look, when the object is not held.
         pick: of the pick. sim: of the simulation.
         record_every_s: states kept for pictures; None keeps none.
-        camera_off_m, camera_off_rad: error of the camera's calibration, see `SimulatedRobot`.
+        camera_off_m, camera_off_rad: error of the camera's calibration, see `SimulatedRobot`. sensor: its noise.
         recheck: look again at every executed path, each millimetre, with the physics engine's exact shapes.
     """
 
@@ -55,6 +56,7 @@ class ExecuteConfig:
     recheck: bool = False
     camera_off_m: float = 0.0
     camera_off_rad: float = 0.0
+    sensor: DepthNoise = STRUCTURED_LIGHT
 
     def __post_init__(self) -> None:
         if self.pose not in get_args(PoseMethod):
@@ -77,6 +79,7 @@ class Attempt:
         pushed_m: how far it moved before the hand closed. touched: the hand touched it after closing.
         hits: what was touched that should not have been, with the phase and force.
         rechecks: of transfer, approach and lift, in the world they were planned in; empty unless asked for.
+        world: what was planned in, from what was seen. confidence: of our pose estimate, where there was one.
     """
 
     X_BO_true: np.ndarray
@@ -95,6 +98,8 @@ class Attempt:
     touched: bool = False
     hits: tuple[str, ...] = ()
     rechecks: tuple[PathCheck, ...] = ()
+    world: PlanningWorld | None = None
+    confidence: float | None = None
 
     @property
     def success(self) -> bool:
@@ -155,6 +160,7 @@ def execute_trial(
         record_every_s=config.record_every_s,
         camera_off_m=config.camera_off_m,
         camera_off_rad=config.camera_off_rad,
+        sensor=config.sensor,
         seed=seed,
     )
     robot.settle()
@@ -178,16 +184,22 @@ def run_trial(
         attempts.append(attempt)
         if attempt.success or number == config.retries or robot.diverged:
             break
-        if attempt.plan is not None:
-            robot.phase("return")
-            if go_home(robot, robot.true_world(), seed=seed):
-                break
+        if attempt.plan is not None and not _returned(robot, attempt, seed):
+            break
     cause, detail = _cause(attempts[0])
     return Trial(
         object=obj.name, arm=robot.manipulator.arm.name, hand=robot.manipulator.hand.name, pose_method=config.pose,
         seed=seed, success=attempts[0].success, success_retry=any(a.success for a in attempts), cause=cause,
         detail=detail, attempts=tuple(attempts), recording=robot.recording(), scene=scene,
     )  # fmt: skip
+
+
+def _returned(robot: SimulatedRobot, attempt: Attempt, seed: int) -> bool:
+    """Put down what may be in the hand and go home past what was seen before the attempt; whether a way was found."""
+    assert attempt.plan is not None and attempt.world is not None
+    robot.phase("return")
+    set_down(robot, attempt.plan)
+    return not go_home(robot, attempt.world, seed=seed)
 
 
 def _attempt(
@@ -203,7 +215,7 @@ def _attempt(
     X_BO_true = robot.object_pose(target)
     robot.phase("look")
     proposal = _propose(robot, scene, target, grasps, paper, config, seed)
-    errors = _errors(obj, proposal.X_BO, X_BO_true)
+    errors, sighting = _errors(obj, proposal.X_BO, X_BO_true), proposal.sighting
     attempt = Attempt(
         X_BO_true=X_BO_true,
         X_BO_estimate=proposal.X_BO,
@@ -215,6 +227,8 @@ def _attempt(
         reason=proposal.reason,
         look_cpu_s=proposal.look_cpu_s,
         grasps_cpu_s=proposal.grasps_cpu_s,
+        world=proposal.world,
+        confidence=None if sighting is None or sighting.pose is None else sighting.pose.confidence,
     )
     if proposal.plan is None:
         return attempt

@@ -48,7 +48,8 @@ def execute_figures(bench: ExecuteBench) -> dict[str, float]:
     ours = _of(bench.trials, FETCH_PAIR, "ours")
     if ours:
         figures["success_retry_ours"] = _share(t.success_retry for t in ours)
-        figures["trials_per_min"] = 60.0 * bench.workers / float(np.mean([t.wall_s for t in ours]))
+        spent = sum(t.wall_s for t in ours) + sum(s.wall_s for s in bench.scenes if s.pair == FETCH_PAIR)
+        figures["trials_per_min"] = 60.0 * bench.workers * len(ours) / spent
     clutter = [t for t in bench.trials if t.pair == CLUTTER]
     if clutter:
         figures["clutter_success"] = _share(t.success for t in clutter)

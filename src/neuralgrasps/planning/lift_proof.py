@@ -69,9 +69,9 @@ _KEPT: OrderedDict[str, LiftProof] = OrderedDict()
 _MOST_KEPT = 128
 
 
-def lift_proof(hand: Hand, obj: ObjectModel, plane_O: Plane, friction_scale: float) -> LiftProof:
-    """The `LiftProof` of this process with a share of the object's friction; opened once."""
-    proof = LiftProof(hand, obj, plane_O, config=LiftConfig(friction_scale=friction_scale))
+def lift_proof(hand: Hand, obj: ObjectModel, plane_O: Plane, *, friction_scale: float, grip: float) -> LiftProof:
+    """The `LiftProof` of this process with a share of the object's friction and of the hand's effort; opened once."""
+    proof = LiftProof(hand, obj, plane_O, config=LiftConfig(friction_scale=friction_scale, grip=grip))
     proof = _KEPT.setdefault(proof.key, proof)
     _KEPT.move_to_end(proof.key)
     while len(_KEPT) > _MOST_KEPT:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -274,7 +274,9 @@ class _Walk:
             postures = self.solver.solutions(
                 X_BH, max_solutions=self.config.solutions, starts=self.config.starts, q_near=self.q_start
             )
-            if len(postures) and ended == "out of reach":
+            if not len(postures):
+                continue
+            if ended == "out of reach":
                 ended = "robot touches something at the grasp"
             for q_open in opened_postures(self.hand, self.grasps.q_pregrasp[index]):
                 checker = self.checker.with_hand(q_open)
@@ -309,7 +311,7 @@ class _Walk:
             if not (lift.complete and lift_checker.path_is_free(lift.q)):
                 ended = NO_LIFT
                 continue
-            if not self._proven(index):
+            if not self._proven(index, X_BH, checker.q_hand):
                 return None, NOT_PROVEN
             seed = child_seed(self.seed, "path", index, attempt)
             path = plan_path(checker, self.q_start, retreat.q[-1:], config=self.config.path, seed=seed)
@@ -320,11 +322,15 @@ class _Walk:
             ended = NO_PATH
         return None, ended
 
-    def _proven(self, index: int) -> bool:
+    def _proven(self, index: int, X_BH: np.ndarray, q_open: np.ndarray) -> bool:
+        """Whether the grasp lifts the object, from where and as open as the hand will come."""
         if self.proof is None:
             return True
         cpu, wall = time.thread_time(), time.perf_counter()
-        held = self.proof(self.grasps[index])
+        X_OH = self.grasps.X_OH[index].copy()
+        back_m = np.linalg.norm((self.target.X_BO @ X_OH)[:3, 3] - X_BH[:3, 3])
+        X_OH[:3, 3] -= np.round(back_m, 6) * X_OH[:3, :3] @ self.hand.X_HP[:3, 2]
+        held = self.proof(replace(self.grasps[index], X_OH=X_OH[None], q_pregrasp=q_open[None]))
         self.proof_cpu += time.thread_time() - cpu
         self.proof_wall += time.perf_counter() - wall
         return held
