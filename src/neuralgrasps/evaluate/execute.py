@@ -15,9 +15,11 @@ from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.errors import InputError, unknown_name
 from neuralgrasps.evaluate.execute_poses import PaperPoses
 from neuralgrasps.evaluate.pose import PoseErrors, diameter_m, pose_errors
+from neuralgrasps.geometry.se3_numpy import transform_points_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
+from neuralgrasps.planning.candidates import box_distance
 from neuralgrasps.planning.pick import PickPlan, PickResult
 from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
@@ -31,6 +33,7 @@ Cause = Literal["", "infeasible", "perception", "no plan", "collision", "push-aw
 
 _LIFTED = 0.8  # share of the planned lift that the object must have risen by, after holding
 _PUSHED_M = 0.02  # moved by more before the hand closes: pushed away
+_SUNK_M = 0.005
 _HIT_N = 1.0  # touching with less force is no hit
 
 
@@ -239,15 +242,24 @@ def _attempt(
 
 
 def _rechecks(manipulator: Manipulator, plan: PickPlan, world: PlanningWorld) -> tuple[PathCheck, ...]:
-    """Of the transfer and the approach with the open hand, and of the lift with the object in the closed one."""
+    """Of the transfer and the approach with the open hand, and of the lift with the object in the closed one.
+
+    A lift that begins with the object believed inside the table says nothing, and is left out.
+    """
     assert world.target is not None
     check = partial(recheck_path, manipulator, world)
     X_HO = np.linalg.inv(plan.X_BH) @ world.target.X_BO
-    return (
-        check(plan.transfer.q, q_hand=plan.q_pregrasp),
-        check(plan.approach.q, q_hand=plan.q_pregrasp),
-        check(plan.lift.q, q_hand=plan.q_grasp, carried=X_HO),
-    )
+    free = (check(plan.transfer.q, q_hand=plan.q_pregrasp), check(plan.approach.q, q_hand=plan.q_pregrasp))
+    if _sunk_m(world) > _SUNK_M:
+        return free
+    return (*free, check(plan.lift.q, q_hand=plan.q_grasp, carried=X_HO))
+
+
+def _sunk_m(world: PlanningWorld) -> float:
+    """How deep the target is believed to be in a box, metres."""
+    assert world.target is not None
+    points_B = transform_points_np(world.target.X_BO, world.target.obj.points_O)
+    return max((-float(box_distance(box, points_B).min()) for box in world.boxes), default=0.0)
 
 
 def _errors(obj: ObjectModel, X_BO: np.ndarray | None, X_BO_true: np.ndarray) -> PoseErrors:

@@ -30,7 +30,7 @@ class ExecuteBenchConfig:
     """How much is measured.
 
     Attributes:
-        scenes: scenes per object for Fetch, all pose methods on each. panda_scenes: for Panda with the Allegro hand.
+        scenes: scenes per object for Fetch, all `VARIANTS` on each. panda_scenes: for Panda with the Allegro hand.
         clutter_scenes, clutter_objects: scenes with several objects for Fetch. seed: root of every random number.
     """
 

@@ -134,7 +134,7 @@ def _clearance(manipulator: Manipulator, X_BH: np.ndarray, grasps: GraspSet, wor
         X = X_BL[:, surface.links]
         points_B = np.einsum("nkij,kj->nki", X[..., :3, :3], surface.points_L) + X[..., :3, 3]
         for box in world.boxes:
-            least = np.minimum(least, _box_distance(box, points_B).min(axis=1))
+            least = np.minimum(least, box_distance(box, points_B).min(axis=1))
         for other in world.objects:
             points_O = transform_points_np(inverse_np(other.X_BO), points_B.reshape(-1, 3))
             distance = query_grid_numpy(other.obj.sdf, points_O).reshape(points_B.shape[:2])
@@ -147,7 +147,7 @@ def _coarse_surface(manipulator: Manipulator) -> HandSurface:
     return sample_hand_surface(manipulator.hand, spacing=_SPACING_M)
 
 
-def _box_distance(box: BoxObstacle, points_B: np.ndarray) -> np.ndarray:
+def box_distance(box: BoxObstacle, points_B: np.ndarray) -> np.ndarray:
     """Signed distance (...) of points (..., 3) to a box."""
     outside = np.abs((points_B - box.X_BX[:3, 3]) @ box.X_BX[:3, :3]) - box.half
     return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0))
