@@ -17,11 +17,12 @@ from neuralgrasps.apply.pick_up import (
     pick_up,
     plan_in,
     propose_pick,
+    set_down,
     within_limits,
 )
 from neuralgrasps.apply.robot import RobotState
 from neuralgrasps.apply.simulated_robot import SimulatedRobot
-from neuralgrasps.apply.table_scenes import TableScene, table_plane
+from neuralgrasps.apply.table_scenes import TableScene, scene_world, table_plane
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.errors import InputError
@@ -205,7 +206,7 @@ def test_further_stages_are_taken_only_when_needed(pick_scene) -> None:
     one = plan_in(robot, world, *given, replace(CONFIG, stages=(Stage(4, None), Stage(8, None))), 0)
     assert one[0] is not None and one[0].plan is not None and one[1] == ""
     assert world.target is not None
-    far = replace(world, target=shifted(world.target, (2.0, 0.0, 0.0)))
+    far = replace(world, target=shifted(world.target, (0.7, 0.0, 0.0)))
     short, none = (
         plan_in(robot, far, *given, replace(CONFIG, stages=stages), 0)[0]
         for stages in ((Stage(4, None),), (Stage(4, None), Stage(30, None)))
@@ -250,3 +251,53 @@ def test_a_wished_force_reaches_the_hand(pick_scene) -> None:
     watched = robot_at(pick_scene)
     carry_out(watched, pick_scene.plan, config=replace(CONFIG, force=0.25, plan=PickConfig()))
     assert [what[1] for name, what in watched.asked if name == "hand"] == [1.0, 0.25]
+
+
+def test_a_plan_from_elsewhere_is_refused(pick_scene) -> None:
+    watched = robot_at(pick_scene)
+    proposal = propose_pick(watched, pick_scene.obj, grasps=pick_scene.grasps, config=CONFIG, seed=1)
+    assert proposal.plan is not None
+    with pytest.raises(InputError, match="plan anew"):
+        watched.robot.execute(proposal.plan.lift)
+    carry_out(watched, proposal.plan, config=CONFIG)
+    with pytest.raises(InputError, match="plan anew"):
+        carry_out(watched, proposal.plan, config=CONFIG)
+
+
+def test_a_lifted_object_is_set_down_where_it_was(pick_scene) -> None:
+    watched = robot_at(pick_scene)
+    before = watched.robot.object_pose(0)
+    proposal = pick_up(watched, pick_scene.obj, grasps=pick_scene.grasps, config=CONFIG, seed=1)
+    assert proposal.plan is not None and proposal.world is not None
+    assert watched.robot.object_pose(0)[2, 3] > before[2, 3] + 0.15
+    set_down(watched, proposal.plan)
+    np.testing.assert_allclose(watched.robot.object_pose(0)[:3, 3], before[:3, 3], atol=0.01)
+    assert not watched.robot.hand_touches(0)
+    assert go_home(watched, proposal.world, seed=2) == ""
+
+
+def test_further_obstacles_are_planned_around_or_named(pick_scene) -> None:
+    watched = robot_at(pick_scene)
+    X = np.eye(4)
+    X[:3, 3] = watched.robot.object_pose(0)[:3, 3] + [0.0, 0.0, 0.12]
+    lid = BoxObstacle(name="lid", X_BX=X, half=np.array([0.4, 0.4, 0.01]))
+    proposal = propose_pick(watched, pick_scene.obj, grasps=pick_scene.grasps, obstacles=[lid], config=CONFIG, seed=1)
+    assert proposal.plan is None and "none of" in proposal.reason
+    check_nothing_moved(watched, pick_scene)
+
+
+def test_an_object_far_away_is_out_of_reach_at_once(pick_scene) -> None:
+    world = scene_world(pick_scene.scene, 0)
+    far = shifted(pick_scene.scene.objects[0], (3.0, 0.0, 0.0))
+    result, reason, spent = plan_in(
+        pick_scene.robot, replace(world, target=far), table_plane(pick_scene.scene), pick_scene.q_start, None, CONFIG, 0
+    )
+    assert result is None and "out of reach" in reason and spent == 0.0
+
+
+@pytest.mark.parametrize("half", [(-1.0, 1.0, 1.0), (1.0, 1.0, np.nan), (900.0, 600.0, 40.0)])
+def test_boxes_that_are_none_are_refused(half: tuple[float, float, float]) -> None:
+    with pytest.raises(InputError, match="half extents"):
+        BoxObstacle(name="box", X_BX=np.eye(4), half=np.array(half))
+    with pytest.raises(InputError, match="rigid"):
+        BoxObstacle(name="box", X_BX=3.0 * np.eye(4), half=np.ones(3))

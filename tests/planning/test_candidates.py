@@ -15,7 +15,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.parts import part_mesh
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
-from neuralgrasps.planning.candidates import _box_distance, gravity_lever, rank_candidates
+from neuralgrasps.planning.candidates import box_distance, gravity_lever, rank_candidates
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld, table_box
 
 HEIGHT = 0.5  # of the table
@@ -205,4 +205,4 @@ def test_distance_to_a_box() -> None:
     X_BX[:3, :3], X_BX[:3, 3] = rpy_matrix([0.0, 0.0, np.pi / 2])[:3, :3], [1.0, 0.0, 0.0]
     box = BoxObstacle(name="box", X_BX=X_BX, half=np.array([0.1, 0.2, 0.3]))  # 0.2 along x of B now
     points = np.array([[1.0, 0, 0], [1.3, 0, 0], [1.0, 0.25, 0], [1.23, 0.14, 0.0], [1.0, 0.0, 0.29], [1.0, 0.09, 0.0]])
-    np.testing.assert_allclose(_box_distance(box, points), [-0.1, 0.1, 0.15, 0.05, -0.01, -0.01], atol=1e-12)
+    np.testing.assert_allclose(box_distance(box, points), [-0.1, 0.1, 0.15, 0.05, -0.01, -0.01], atol=1e-12)

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.errors import InputError
-from neuralgrasps.geometry.primitives import sphere_mesh
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.hands.parts import sample_part
-from neuralgrasps.kinematics.forward_kernels import forward_numpy
-from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.cloud_field import COARSEST_M, FINEST_M, cloud_grid
-from neuralgrasps.planning.unexplained_cloud import unexplained_cloud
-from neuralgrasps.planning.world import PlacedObject, PlanningWorld, table_box
 
 
 def _cloud(seed: int, count: int, size: float = 0.2) -> np.ndarray:
@@ -64,28 +55,3 @@ def test_bad_clouds_are_refused() -> None:
         cloud_grid(np.array([[0.0, np.nan, 0.0]]))
     with pytest.raises(InputError, match="at least one, all finite"):
         cloud_grid(np.zeros((0, 3)))
-
-
-def test_table_objects_and_robot_explain_their_points(
-    make_robot: Callable[[str], Manipulator], make_object: Callable[..., ObjectModel]
-) -> None:
-    robot = make_robot("fetch")
-    X_BO = np.eye(4)
-    X_BO[:3, 3] = 0.8, 0.2, 0.74
-    ball = make_object("ball", sphere_mesh(0.04))
-    world = PlanningWorld(
-        boxes=(table_box(0.7, centre=(0.8, 0), size=(0.6, 1.0)),), objects=(PlacedObject(obj=ball, X_BO=X_BO),)
-    )
-    rng = np.random.default_rng(0)
-    table = np.column_stack([rng.uniform(0.5, 1.1, 300), rng.uniform(-0.5, 0.5, 300), 0.7 + rng.normal(0, 0.002, 300)])
-    surface = ball.points_O + X_BO[:3, 3] + rng.normal(0, 0.002, ball.points_O.shape)
-    q = robot.q_home.copy()
-    q[robot.arm_dofs] += 0.1
-    X_BL = forward_numpy(robot.tree, q)
-    own = [sample_part(p, 4000)[0] @ X_BL[p.link][:3, :3].T + X_BL[p.link][:3, 3] for p in robot.parts]
-    unknown = np.array([[0.8, -0.3, 0.80], [0.6, 0.4, 0.75]])
-    points = np.concatenate([table, unknown[:1], surface, *own, unknown[1:], [[np.nan] * 3]])
-    left = unexplained_cloud(points, world, manipulator=robot, q=q)
-    np.testing.assert_array_equal(left, unknown)
-    moved = unexplained_cloud(np.concatenate(own), world, manipulator=robot, q=robot.q_home)
-    assert len(moved)  # the robot stands elsewhere: its points are not explained

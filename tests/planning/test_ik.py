@@ -13,10 +13,12 @@ from neuralgrasps.errors import InputError, NeuralGraspsError, RobotDescriptionE
 from neuralgrasps.geometry.se3_numpy import inverse_np, make_transform_np, rpy_matrix
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.kinematics.tree import PRISMATIC, REVOLUTE
+from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.planning.chain import chain_jacobian, chain_pose, chain_poses, pack_chain, sliding_dofs
 from neuralgrasps.planning.ik import IkConfig, IkSolver, ik_solver, ik_starts, solve_ik
 from neuralgrasps.planning.ik_kernels import add_pull, damped_step, work_arrays
 from neuralgrasps.planning.posture_table import APART_RAD
+from neuralgrasps.planning.reach import beyond_reach
 
 ROBOTS = ("fetch", "panda", "six", "planar", "coupled")
 
@@ -351,3 +353,15 @@ def test_bad_numbers_are_refused() -> None:
     for name in ("position_tolerance_m", "damping", "max_iterations", "apart"):
         with pytest.raises(InputError, match=name):
             IkConfig(**{name: 0})
+
+
+def test_objects_that_no_hand_posture_touches_are_beyond_reach(make_robot: Callable[[str], Manipulator]) -> None:
+    robot, obj = make_robot("fetch"), load_object("gelatin_box")
+    bound, X = ik_solver(robot).reach, np.eye(4)
+    X[:3, 3] = [0.6, 0.0, 0.7]
+    assert beyond_reach(bound, robot.hand, obj, X) == 0.0
+    X[0, 3] = 3.0
+    far = beyond_reach(bound, robot.hand, obj, X)
+    assert 1.0 < far < 2.2
+    X[0, 3] = 3.5
+    assert beyond_reach(bound, robot.hand, obj, X) == pytest.approx(far + 0.5, abs=0.02)

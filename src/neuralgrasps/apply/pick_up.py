@@ -19,9 +19,11 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.collision import CollisionChecker
+from neuralgrasps.planning.ik import ik_solver
 from neuralgrasps.planning.lift_proof import LiftProof, lift_proof
 from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
+from neuralgrasps.planning.reach import beyond_reach
 from neuralgrasps.planning.table_grasps import grasps_on_table
 from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
@@ -152,6 +154,9 @@ def plan_in(
     hand, target, made, planned = manipulator.hand, world.target, 0.0, 0.0
     plane_O = table_B.moved(np.linalg.inv(target.X_BO))
     q_arm = within_limits(manipulator, q_arm)
+    beyond_m = beyond_reach(ik_solver(manipulator).reach, hand, target.obj, target.X_BO)
+    if beyond_m > 0:
+        return None, f"'{target.obj.name}' is out of reach, by {1e3 * beyond_m:.0f} mm at least.", 0.0
     result: PickResult | None = None
     before: tuple[int, float | None] = (0, None)
     for stage in config.stages:

@@ -16,7 +16,7 @@ from neuralgrasps.geometry.se3_numpy import inverse_np, make_transform_np, rpy_m
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.resting import resting_poses
-from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld, table_box
+from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld, box_top, table_box
 from neuralgrasps.seeds import child_rng
 
 _NEAR, _FAR, _SIDE = 0.45, 0.80, 0.35  # the work area, in reaches of the arm from its shoulder
@@ -125,8 +125,7 @@ def _gap(a: PlacedObject, b: PlacedObject) -> float:
 
 def table_plane(scene: TableScene) -> Plane:
     """The table's top in B."""
-    X, half = scene.table.X_BX, scene.table.half
-    return Plane(np.array([0.0, 0.0, 1.0]), -float(X[2, 3] + half[2]))
+    return box_top(scene.table)
 
 
 def scene_world(scene: TableScene, target: int | None, poses: Sequence[np.ndarray] | None = None) -> PlanningWorld:

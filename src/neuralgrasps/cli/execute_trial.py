@@ -184,13 +184,16 @@ def _record(
 
 
 def _write_plan(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:
-    from neuralgrasps.apply.table_scenes import table_plane
     from neuralgrasps.export.pick_plan import save_pick_plan
     from neuralgrasps.export.plan_origin import PlanOrigin
+    from neuralgrasps.planning.world import box_top
 
     first = trial.attempts[0]
     if first.plan is not None and first.pick is not None:
-        origin = PlanOrigin(X_BO=first.X_BO_estimate, table_B=table_plane(trial.scene), seed=first.pick.seed)
+        table_B = None if first.world is None else box_top(first.world.boxes[0])
+        origin = PlanOrigin(
+            X_BO=first.X_BO_estimate, confidence=first.confidence, table_B=table_B, seed=first.pick.seed
+        )
         save_pick_plan(task.folder / PLAN_FILE, first.plan, manipulator, origin=origin)
 
 

@@ -10,12 +10,9 @@ for the hand where `exact_hand` says so its surface points. Far things are told 
 
 from __future__ import annotations
 
-import math
-
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.shape_kernels import box_sdf
-from neuralgrasps.kinematics.forward_kernels import link_poses
 from neuralgrasps.planning.collision_arrays import (
     BODY,
     BOXES,
@@ -36,6 +33,7 @@ from neuralgrasps.planning.collision_arrays import (
     TARGET,
     plain_kernel,
 )
+from neuralgrasps.planning.collision_poses import edge_steps, moved_by, pose_robot
 from neuralgrasps.planning.convex_kernels import convex_gap, point_gap
 from neuralgrasps.planning.grid_kernels import grid_lower_bound
 
@@ -104,75 +102,6 @@ def path_is_free(check, q, work):  # type: ignore[no-untyped-def]
     return free
 
 
-@njit(cache=True, error_model="numpy")
-def edge_steps(check, q0, q1, work):  # type: ignore[no-untyped-def]
-    """How many steps the edge from q0 to q1 (D,) is checked in.
-
-    How far links move is measured over pieces of at most a quarter radian, as the way of their centres plus their
-    radius times the angle they turn by, and a tenth more, since a link's way is longer than its chord.
-    """
-    widest = 0.0
-    for j in range(q0.shape[0]):
-        widest = max(widest, abs(q1[j] - q0[j]))
-    pieces = max(math.ceil(widest / 0.25), 1)
-    farthest = 0.0
-    for piece in range(pieces + 1):
-        for j in range(q0.shape[0]):
-            work.q[j] = q0[j] + piece / pieces * (q1[j] - q0[j])
-        work.before[:] = work.X_BK
-        link_poses(
-            check.parents, check.joint_types, check.X_parent_joint, check.axes, check.coupling, check.offset, work.q,
-            work.X_BK,
-        )  # fmt: skip
-        if piece > 0:
-            farthest = max(farthest, _longest_way(check.links, check.link_info, work.before, work.X_BK))
-    ways = 1.1 * pieces * farthest / check.max_step_m
-    return max(1, math.ceil(max(ways, widest / check.max_step_rad)))
-
-
-@plain_kernel
-def _longest_way(links, link_info, before, after):  # type: ignore[no-untyped-def]
-    """How far any point of a link moves at most, to first order, between two poses of the bodies (K, 4, 4)."""
-    longest = 0.0
-    for g in range(links.shape[0]):
-        k = link_info[g, BODY]
-        ax, ay, az = _moved(before, k, links[g, 0], links[g, 1], links[g, 2])
-        bx, by, bz = _moved(after, k, links[g, 0], links[g, 1], links[g, 2])
-        trace = 0.0
-        for i in range(3):
-            for j in range(3):
-                trace += before[k, i, j] * after[k, i, j]
-        angle = math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0))
-        way = math.sqrt((ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2) + links[g, 3] * angle
-        longest = max(longest, way)
-    return longest
-
-
-@plain_kernel
-def pose_robot(check, q_arm, work):  # type: ignore[no-untyped-def]
-    """Poses of the bodies and centres of the links, in B, at planned joints (D,), into `work`."""
-    link_poses(
-        check.parents, check.joint_types, check.X_parent_joint, check.axes, check.coupling, check.offset, q_arm,
-        work.X_BK,
-    )  # fmt: skip
-    links, link_info, centres, X_BK = check.links, check.link_info, work.centres, work.X_BK
-    for g in range(links.shape[0]):
-        centres[g, 0], centres[g, 1], centres[g, 2] = _moved(
-            X_BK, link_info[g, BODY], links[g, 0], links[g, 1], links[g, 2]
-        )
-    work.made[check.num_parts] += 1
-
-
-@plain_kernel
-def _moved(X, k, x, y, z):  # type: ignore[no-untyped-def]
-    """X[k] @ (x, y, z) for poses X (K, 4, 4)."""
-    return (
-        X[k, 0, 0] * x + X[k, 0, 1] * y + X[k, 0, 2] * z + X[k, 0, 3],
-        X[k, 1, 0] * x + X[k, 1, 1] * y + X[k, 1, 2] * z + X[k, 1, 3],
-        X[k, 2, 0] * x + X[k, 2, 1] * y + X[k, 2, 2] * z + X[k, 2, 3],
-    )
-
-
 @plain_kernel
 def _into_frame(table, i, c, x, y, z):  # type: ignore[no-untyped-def]
     """(x, y, z) in the frame whose pose is in row i of a table, from column c on."""
@@ -236,7 +165,7 @@ def link_box_gap(link_info, parts, part_info, vertices, g, b, need, any_will_do,
     k = link_info[g, BODY]
     best = need
     for part in range(link_info[g, FIRST_PART], link_info[g, END_PART]):
-        x, y, z = _moved(X_BK, k, parts[part, 0], parts[part, 1], parts[part, 2])
+        x, y, z = moved_by(X_BK, k, parts[part, 0], parts[part, 1], parts[part, 2])
         if box_distance(parts, b, x, y, z) < parts[part, 3] + best:
             pose_part(parts, part, X_BK, k, poses, made)
             best = min(best, convex_gap(parts, part_info, vertices, poses, part, b, best, simplex))
@@ -270,7 +199,7 @@ def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, ce
     i, j = link_info[g, BODY], link_info[h, BODY]
     best = need
     for a in range(link_info[g, FIRST_PART], link_info[g, END_PART]):
-        ax, ay, az = _moved(X_BK, i, parts[a, 0], parts[a, 1], parts[a, 2])
+        ax, ay, az = moved_by(X_BK, i, parts[a, 0], parts[a, 1], parts[a, 2])
         dx, dy, dz = ax - centres[h, 0], ay - centres[h, 1], az - centres[h, 2]
         reach = parts[a, 3] + links[h, 3] + best
         if dx * dx + dy * dy + dz * dz >= reach * reach:
@@ -279,7 +208,7 @@ def links_gap(links, link_info, parts, part_info, vertices, g, h, need, X_BK, ce
         if point_gap(parts, part_info, poses, a, centres[h, 0], centres[h, 1], centres[h, 2]) >= links[h, 3] + best:
             continue
         for b in range(link_info[h, FIRST_PART], link_info[h, END_PART]):
-            bx, by, bz = _moved(X_BK, j, parts[b, 0], parts[b, 1], parts[b, 2])
+            bx, by, bz = moved_by(X_BK, j, parts[b, 0], parts[b, 1], parts[b, 2])
             reach = parts[a, 3] + parts[b, 3] + best
             if (ax - bx) ** 2 + (ay - by) ** 2 + (az - bz) ** 2 >= reach * reach:
                 continue
@@ -331,7 +260,7 @@ def link_grid_gap(  # type: ignore[no-untyped-def]
     for part in range(link_info[g, FIRST_PART], link_info[g, END_PART]):
         i, end = part_info[part, FIRST_NODE], part_info[part, END_NODE]
         while i < end:
-            x, y, z = _moved(X_BK, k, nodes[i, 0], nodes[i, 1], nodes[i, 2])
+            x, y, z = moved_by(X_BK, k, nodes[i, 0], nodes[i, 1], nodes[i, 2])
             x, y, z = _into_frame(frames, a, column, x, y, z)
             d = grid_lower_bound(grids, grid_info, values, a, x, y, z, nodes[i, 3] + need) - nodes[i, 3]
             if d >= need:
@@ -341,7 +270,7 @@ def link_grid_gap(  # type: ignore[no-untyped-def]
                 if not exact:
                     return d
                 for p in range(node_info[i, 1], node_info[i + 1, 1]):
-                    x, y, z = _moved(X_BK, k, points[p, 0], points[p, 1], points[p, 2])
+                    x, y, z = moved_by(X_BK, k, points[p, 0], points[p, 1], points[p, 2])
                     x, y, z = _into_frame(frames, a, column, x, y, z)
                     d = grid_lower_bound(grids, grid_info, values, a, x, y, z, need)
                     if d < need:

@@ -8,8 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from neuralgrasps.compiled import njit
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.parts import bounding_sphere
 from neuralgrasps.kinematics.forward_kernels import joint_motion
 from neuralgrasps.kinematics.tree import PRISMATIC
+from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.chain import Chain
 
 _Z = np.array([0.0, 0.0, 1.0])
@@ -55,6 +58,29 @@ def bound_reach(chain: Chain) -> ReachBound:
     loose += np.linalg.norm(travel[0][:, 1:], axis=0).sum()
     back = tail[:3, :3].T @ (_Z * s[-1] - tail[:3, 3])
     return ReachBound(back, centre - sweep, centre + sweep, float(sum(lengths) + loose + _ROUNDING_M))
+
+
+def beyond_reach(bound: ReachBound, hand: Hand, obj: ObjectModel, X_BO: np.ndarray) -> float:
+    """How far an object at X_BO (4, 4) certainly is out of the hand's reach, metres; 0 where it may be reached."""
+    centre_B = X_BO[:3, :3] @ obj.mesh.bounds.mean(axis=0) + X_BO[:3, 3]
+    size = float(np.linalg.norm(obj.mesh.extents)) / 2 + _farthest(hand, bound.point_H)
+    along = bound.b_B - bound.a_B
+    length2 = float(along @ along)
+    t = float(np.clip((centre_B - bound.a_B) @ along / length2, 0.0, 1.0)) if length2 > 0 else 0.0
+    return max(0.0, float(np.linalg.norm(centre_B - bound.a_B - t * along)) - bound.radius - size)
+
+
+def _farthest(hand: Hand, point_H: np.ndarray) -> float:
+    """Metres from a point of the hand base to the farthest point of the hand in any posture, at most."""
+    tree = hand.tree
+    span = np.zeros(tree.num_links)  # from the hand base's origin
+    travel = np.abs(tree.coupling) @ np.maximum(np.abs(tree.lower), np.abs(tree.upper)) + np.abs(tree.offset)
+    for i in range(1, tree.num_links):
+        slide = travel[i] if tree.joint_types[i] == PRISMATIC else 0.0
+        span[i] = span[tree.parents[i]] + np.linalg.norm(tree.X_parent_joint[i, :3, 3]) + slide
+    spheres = [(p.link, *bounding_sphere(p)) for p in hand.parts]
+    reach = max(span[link] + np.linalg.norm(centre) + radius for link, centre, radius in spheres)
+    return float(reach + np.linalg.norm(point_H))
 
 
 def _between(chain: Chain, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.objects.object_model import ObjectModel
 
 _RIGID = 1e-6
@@ -63,6 +64,12 @@ class PlanningWorld:
         check_shape("cloud_B", np.shape(self.cloud_B), (None, 3))
         if not np.isfinite(self.cloud_B).all():
             raise InputError("cloud_B holds numbers that are not finite; drop those points.")
+
+
+def box_top(box: BoxObstacle) -> Plane:
+    """The upper face of a box, in B, its normal along the box's z."""
+    up = np.asarray(box.X_BX[:3, 2], float)
+    return Plane(up / np.linalg.norm(up), -float(up @ box.X_BX[:3, 3] + box.half[2]))
 
 
 def table_box(
