@@ -206,7 +206,7 @@ def test_further_stages_are_taken_only_when_needed(pick_scene) -> None:
     one = plan_in(robot, world, *given, replace(CONFIG, stages=(Stage(4, None), Stage(8, None))), 0)
     assert one[0] is not None and one[0].plan is not None and one[1] == ""
     assert world.target is not None
-    far = replace(world, target=shifted(world.target, (0.7, 0.0, 0.0)))
+    far = replace(world, target=shifted(world.target, (0.5, 0.0, 0.0)))
     short, none = (
         plan_in(robot, far, *given, replace(CONFIG, stages=stages), 0)[0]
         for stages in ((Stage(4, None),), (Stage(4, None), Stage(30, None)))
