@@ -24,6 +24,7 @@ from neuralgrasps.planning.lift_proof import LiftProof, lift_proof
 from neuralgrasps.planning.path import plan_path
 from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pick
 from neuralgrasps.planning.reach import beyond_reach
+from neuralgrasps.planning.resting_plane import nearest_resting_plane
 from neuralgrasps.planning.table_grasps import grasps_on_table
 from neuralgrasps.planning.timing import time_path
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
@@ -159,7 +160,7 @@ def plan_in(
         return None, f"'{target.obj.name}' is out of reach, by {1e3 * beyond_m:.0f} mm at least.", 0.0
     result: PickResult | None = None
     before: tuple[int, float | None] = (0, None)
-    for stage in config.stages:
+    for stage in _stages(target, plane_O, config):
         cpu = time.thread_time()
         found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=stage.count)
         proof = None if stage.friction is None else _proof(manipulator, world, plane_O, stage.friction, config)
@@ -178,6 +179,16 @@ def plan_in(
     if result is None:
         raise InputError("PickUpConfig.stages is empty; expected at least one Stage.")
     return replace(result, cpu_s=planned), result.reason, made
+
+
+def _stages(target: PlacedObject, plane_O: Plane, config: PickUpConfig) -> tuple[Stage, ...]:
+    """All stages; only the first, without proof, for a pose that the object does not rest in: leaning, or wrong.
+
+    There is no trial of a grasp of what would not stay as it is before the hand comes.
+    """
+    if config.stages and nearest_resting_plane(target.obj, plane_O) is None:
+        return (Stage(config.stages[0].count, None),)
+    return config.stages
 
 
 def _proof(
