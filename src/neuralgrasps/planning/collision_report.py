@@ -30,9 +30,9 @@ from neuralgrasps.planning.collision_kernels import (
     link_grid_gap,
     links_gap,
     points_grid_gap,
-    pose_robot,
     values_of,
 )
+from neuralgrasps.planning.collision_poses import pose_robot
 from neuralgrasps.planning.collision_robot import robot_shape
 
 if TYPE_CHECKING:
