@@ -223,15 +223,18 @@ def _tasks(
 
     import neuralgrasps
     from neuralgrasps.cli.execute_trial import TrialTask
+    from neuralgrasps.hands.fingerprint import fingerprint
     from neuralgrasps.objects.zoo import load_object
 
     made = "" if grasps is None else hashlib.sha256(grasps.read_bytes()).hexdigest()
     decide: dict[str, Any] = {k: options[k] for k in ("robot", "pose", "clutter", "retries", "seed")}
+    opened = options["robot"].open()
+    shape = fingerprint((opened.tree, opened.parts, opened.q_home, opened.velocity, opened.acceleration))
     around = [load_object(s).content_hash for s in library.sources] if options["clutter"] else []
     tasks: list[TrialTask] = []
     for target, (name, obj) in enumerate(models.items()):
         for index in range(trials):
-            about = (neuralgrasps.__version__, name, obj.content_hash, index, made, library.run, around, decide)
+            about = (neuralgrasps.__version__, name, obj.content_hash, index, made, library.run, around, shape, decide)
             own: dict[str, Any] = options | {"loop": options["loop"] and len(tasks) < _LOOPS}
             tasks.append(
                 TrialTask(
