@@ -10,7 +10,7 @@ from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.hands.zoo import load_hand
-from neuralgrasps.planning.timing import DEVIATION, hand_lengths, path_deviation, time_path, timed_is_free
+from neuralgrasps.planning.timing import DEVIATION, hand_lengths, kept_within, path_deviation, time_path, timed_is_free
 
 VELOCITY = np.array([0.1, 1.25, 1.45, 1.57, 1.52, 1.57, 2.26, 2.26])
 ACCELERATION = np.array([0.5, 1.5, 1.5, 1.5, 1.5, 1.5, 2.5, 2.5])
@@ -165,3 +165,14 @@ def test_bad_limits_have_a_clear_error(change: dict, word: str) -> None:
 def test_bad_shapes_have_a_clear_error(q: np.ndarray) -> None:
     with pytest.raises(ShapeError):
         _timed(q)
+
+
+def test_a_curve_that_bulges_over_a_limit_rests_at_it() -> None:
+    q = np.array([[0.0, 0.0], [1.0, 0.6], [0.2, 1.0]])
+    motion = time_path(q, joint_names=("a", "b"), velocity=np.ones(2), acceleration=np.full(2, 2.0))
+    upper = np.array([float(motion.q[:, 0].max()) - 4e-4, 2.0])
+    kept = kept_within(motion, np.array([-1.0, -1.0]), upper)
+    over = motion.q[:, 0] > upper[0]
+    assert over.any() and (kept.q <= upper).all() and (kept.qd[over, 0] == 0.0).all()
+    np.testing.assert_array_equal(kept.q[~over], motion.q[~over])
+    np.testing.assert_array_equal(kept.qd[:, 1], motion.qd[:, 1])

@@ -26,7 +26,7 @@ from neuralgrasps.planning.pick import PickConfig, PickPlan, PickResult, plan_pi
 from neuralgrasps.planning.reach import beyond_reach
 from neuralgrasps.planning.resting_plane import nearest_resting_plane
 from neuralgrasps.planning.table_grasps import grasps_on_table
-from neuralgrasps.planning.timing import time_path
+from neuralgrasps.planning.timing import kept_within, time_path
 from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
 
 _MEASURED = 0.01  # rad or metres that a joint that is at its limit may be measured to be beyond it
@@ -305,13 +305,12 @@ def go_home(robot: Robot, world: PlanningWorld, *, speed: float = 0.7, seed: int
     )  # fmt: skip
     if not path.solved:
         return path.reason
-    robot.execute(
-        time_path(
-            path.q,
-            joint_names=manipulator.arm_names,
-            velocity=manipulator.velocity,
-            acceleration=manipulator.acceleration,
-            speed=speed,
-        )
+    motion = time_path(
+        path.q,
+        joint_names=manipulator.arm_names,
+        velocity=manipulator.velocity,
+        acceleration=manipulator.acceleration,
+        speed=speed,
     )
+    robot.execute(kept_within(motion, manipulator.lower, manipulator.upper))
     return ""

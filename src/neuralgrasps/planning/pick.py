@@ -21,7 +21,7 @@ from neuralgrasps.planning.collision import CollisionChecker, CollisionConfig
 from neuralgrasps.planning.ik import ik_solver
 from neuralgrasps.planning.path import PathConfig, plan_path
 from neuralgrasps.planning.straight import follow_line, line_path
-from neuralgrasps.planning.timing import time_path
+from neuralgrasps.planning.timing import kept_within, time_path
 from neuralgrasps.planning.world import PlanningWorld
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.sim.grip import grip_target
@@ -356,13 +356,14 @@ class _Walk:
     ) -> PickPlan:
         m, config = self.manipulator, self.config
         timed = partial(time_path, joint_names=m.arm_names, velocity=m.velocity, acceleration=m.acceleration)
+        inside = partial(kept_within, lower=m.lower, upper=m.upper)
         return PickPlan(
             grasp=self.grasps[index],
             index=index,
             X_BH=X_BH,
-            transfer=timed(path, speed=config.speed),
-            approach=timed(approach, hand_m=config.standoff_m, max_hand_speed=config.approach_speed),
-            lift=timed(lift, hand_m=config.lift_m, max_hand_speed=config.lift_speed),
+            transfer=inside(timed(path, speed=config.speed)),
+            approach=inside(timed(approach, hand_m=config.standoff_m, max_hand_speed=config.approach_speed)),
+            lift=inside(timed(lift, hand_m=config.lift_m, max_hand_speed=config.lift_speed)),
             q_pregrasp=q_open,
             q_grasp=self.grasps.q[index],
             q_squeeze=grip_target(self.hand, self.grasps.q[index], self.grasps.q_squeeze[index], grip=config.grip),

@@ -78,6 +78,12 @@ def time_path(
     return min(motions, key=lambda motion: motion.duration_s)
 
 
+def kept_within(trajectory: Trajectory, lower: np.ndarray, upper: np.ndarray) -> Trajectory:
+    """The motion without what its curve (at most `DEVIATION`) takes it beyond limits (D,): it rests at them instead."""
+    q = np.clip(trajectory.q, lower, upper)
+    return replace(trajectory, q=q, qd=np.where(q == trajectory.q, trajectory.qd, 0.0))
+
+
 def hand_lengths(manipulator: Manipulator, q_arm: np.ndarray, *, turn_m: float = 0.0) -> np.ndarray:
     """(T,) metres that the hand base has travelled at waypoints `q_arm` (T, D), from 0.
 
