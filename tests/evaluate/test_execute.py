@@ -13,7 +13,16 @@ from neuralgrasps.apply.simulated_robot import SimulatedRobot
 from neuralgrasps.apply.table_scenes import TableScene
 from neuralgrasps.errors import InputError, UnknownNameError
 from neuralgrasps.evaluate import execute_bench_trials
-from neuralgrasps.evaluate.execute import Attempt, ExecuteConfig, Trial, _cause, execute_trial, run_trial
+from neuralgrasps.evaluate.execute import (
+    Attempt,
+    ExecuteConfig,
+    Trial,
+    _carried_out,
+    _cause,
+    _returned,
+    execute_trial,
+    run_trial,
+)
 from neuralgrasps.evaluate.execute_bench_trials import solvable_scene
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.planning.pick import PickResult
@@ -256,3 +265,19 @@ def test_wrong_settings_are_refused(pick_scene) -> None:
         ExecuteConfig(retries=-1)
     with pytest.raises(InputError, match="'contact' needs a trained field"):
         trial_of(pick_scene, config=replace(ONCE, pose="contact"))
+
+
+def test_an_arm_that_is_held_up_ends_the_trial_and_says_where(pick_scene) -> None:
+    """The next motion would begin elsewhere: the robot refuses it, the trial goes on to its verdict."""
+    robot = SimulatedRobot(pick_scene.robot, pick_scene.scene)
+    robot.settle()
+    planned = PickResult(
+        plan=pick_scene.plan, reason="", counts={}, blocked=False, tried=1, complete=True, cpu_s=0.0, proof_cpu_s=0.0,
+        seed=0,
+    )  # fmt: skip
+    attempt = replace(ATTEMPT, X_BO_true=robot.object_pose(0), pick=planned, world=pick_scene.world)
+    assert not _returned(robot, attempt, 0)
+    robot.execute(pick_scene.plan.transfer)
+    done = _carried_out(robot, attempt, pick_scene.plan, 0, PICK)
+    assert not done.success and done.hits[-1].startswith("transfer: the trajectory begins at")
+    assert _cause(done)[0] == "collision"

@@ -15,8 +15,8 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.parts import part_mesh
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
-from neuralgrasps.planning.candidates import box_distance, gravity_lever, rank_candidates
-from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld, table_box
+from neuralgrasps.planning.candidates import gravity_lever, rank_candidates
+from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld, box_distance, table_box
 
 HEIGHT = 0.5  # of the table
 

@@ -19,9 +19,8 @@ from neuralgrasps.geometry.se3_numpy import transform_points_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.planning.candidates import box_distance
 from neuralgrasps.planning.pick import PickPlan, PickResult
-from neuralgrasps.planning.world import PlanningWorld
+from neuralgrasps.planning.world import PlanningWorld, box_distance
 from neuralgrasps.seeds import child_seed
 from neuralgrasps.sim.camera import STRUCTURED_LIGHT, DepthNoise
 from neuralgrasps.sim.recheck import PathCheck, recheck_path
@@ -201,8 +200,11 @@ def _returned(robot: SimulatedRobot, attempt: Attempt, seed: int) -> bool:
     """Put down what may be in the hand and go home past what was seen before the attempt; whether a way was found."""
     assert attempt.plan is not None and attempt.world is not None
     robot.phase("return")
-    set_down(robot, attempt.plan)
-    return not go_home(robot, attempt.world, seed=seed)
+    try:
+        set_down(robot, attempt.plan)
+        return not go_home(robot, attempt.world, seed=seed)
+    except InputError:  # the arm is held up, so that the next motion would not begin where it is
+        return False
 
 
 def _attempt(
@@ -313,7 +315,11 @@ def _carried_out(robot: SimulatedRobot, attempt: Attempt, plan: PickPlan, target
     pushed, touched, hits = 0.0, False, list[str]()
     for step in pick_steps(plan, config):
         robot.phase(step.name)
-        step.run(robot)
+        try:
+            step.run(robot)
+        except InputError as error:  # what it met before holds the arm up
+            hits.append(f"{step.name}: {error}")
+            break
         hits += robot.hits(target, least_n=_HIT_N)
         if step.name == "approach":
             pushed = float(np.linalg.norm(robot.object_pose(target)[:3, 3] - start[:3, 3]))
@@ -342,4 +348,4 @@ def _cause(attempt: Attempt) -> tuple[Cause, str]:
     if attempt.pushed_m > _PUSHED_M or not attempt.touched:
         missed = "" if attempt.touched else ", and the closed hand did not touch it"
         return "push-away", f"it was pushed by {1e3 * attempt.pushed_m:.0f} mm before the hand closed{missed}."
-    return "slip", f"the hand held it after closing, but it rose by {1e3 * attempt.lifted_m:.0f} mm only."
+    return "slip", f"the hand held it after closing, but it rose by {1e3 * max(attempt.lifted_m, 0.0):.0f} mm only."

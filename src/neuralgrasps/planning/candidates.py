@@ -14,11 +14,11 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.surface import HandSurface, sample_hand_surface
 from neuralgrasps.kinematics.forward_kernels import forward_fast
-from neuralgrasps.planning.world import BoxObstacle, PlacedObject, PlanningWorld
+from neuralgrasps.planning.world import PlacedObject, PlanningWorld, box_distance
+from neuralgrasps.synthesis.jaw import jaw_aperture, jaw_widths, leaves_room
 from neuralgrasps.synthesis.strength import grasp_strengths
 
 _SPACING_M = 0.012  # of the hand points of this first, coarse test; what passes is checked exactly later
-_WIDEST = 0.97  # share of a jaw's opening that an object may fill
 _FULL_CLEARANCE_M = 0.02  # more of it is not better
 _LEVER_M = 0.05  # a centre of mass so far from a jaw's axis costs as much as the best clearance gives
 _WEIGHTS = {
@@ -72,28 +72,13 @@ def rank_candidates(
     hand = manipulator.hand
     X_BH = target.X_BO @ grasps.X_OH
     clearance = _clearance(manipulator, X_BH, grasps, world)
-    fits = _fits(hand, grasps)
+    fits = leaves_room(hand, grasps.q)
     clear = clearance >= clearance_m
     kept = np.flatnonzero(fits & clear)
     score = _score(hand, grasps, target, X_BH, clearance, preference)
     order = kept[np.argsort(-score[kept], kind="stable")]
     dropped = {"too wide for the jaw": int((~fits).sum()), "hand hits what is around": int((fits & ~clear).sum())}
     return RankedCandidates(index=order, score=score[order], clearance_m=clearance[order], dropped=dropped)
-
-
-def _fits(hand: Hand, grasps: GraspSet) -> np.ndarray:
-    """(N,) whether the object leaves room in an open jaw."""
-    if not hand.is_jaw:
-        return np.ones(len(grasps), bool)
-    return np.asarray(_opening(hand, grasps.q) <= _WIDEST)
-
-
-def _opening(hand: Hand, q: np.ndarray) -> np.ndarray:
-    """(N,) how far a jaw is open, 0 closed to 1 open."""
-    moving = hand.closing_rate != 0
-    closed = np.where(hand.closing_rate < 0, hand.tree.lower, hand.tree.upper)[moving]
-    span = hand.q_open[moving] - closed
-    return np.asarray(((q[:, moving] - closed) / span).mean(axis=1))
 
 
 def _score(
@@ -108,7 +93,7 @@ def _score(
     score = score + _WEIGHTS["epsilon"] * grasps.epsilon
     score += _WEIGHTS["strength"] * grasp_strengths(hand, target.obj, grasps, target.X_BO[2, :3])
     if hand.is_jaw:
-        score += _WEIGHTS["room"] * (1.0 - _opening(hand, grasps.q))
+        score += _WEIGHTS["room"] * (1.0 - jaw_widths(hand, grasps.q) / jaw_aperture(hand))
         score -= _WEIGHTS["lever"] * gravity_lever(hand, target, X_BH) / _LEVER_M
     if "shake" in grasps.verdicts:
         score += _WEIGHTS["shake"] * grasps.verdicts["shake"].success
@@ -145,9 +130,3 @@ def _clearance(manipulator: Manipulator, X_BH: np.ndarray, grasps: GraspSet, wor
 @lru_cache(maxsize=16)
 def _coarse_surface(manipulator: Manipulator) -> HandSurface:
     return sample_hand_surface(manipulator.hand, spacing=_SPACING_M)
-
-
-def box_distance(box: BoxObstacle, points_B: np.ndarray) -> np.ndarray:
-    """Signed distance (...) of points (..., 3) to a box."""
-    outside = np.abs((points_B - box.X_BX[:3, 3]) @ box.X_BX[:3, :3]) - box.half
-    return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0))

@@ -66,6 +66,12 @@ class PlanningWorld:
             raise InputError("cloud_B holds numbers that are not finite; drop those points.")
 
 
+def box_distance(box: BoxObstacle, points_B: np.ndarray) -> np.ndarray:
+    """Signed distance (...) of points (..., 3) to a box."""
+    outside = np.abs((points_B - box.X_BX[:3, 3]) @ box.X_BX[:3, :3]) - box.half
+    return np.asarray(np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0))
+
+
 def box_top(box: BoxObstacle) -> Plane:
     """The upper face of a box, in B, its normal along the box's z."""
     up = np.asarray(box.X_BX[:3, 2], float)
