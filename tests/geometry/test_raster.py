@@ -11,7 +11,7 @@ import trimesh
 
 from neuralgrasps.errors import ShapeError
 from neuralgrasps.geometry.camera import Intrinsics, look_at, pixel_rays
-from neuralgrasps.geometry.raster import depth_images, rasterise
+from neuralgrasps.geometry.raster import depth_images, raster_labels, rasterise
 
 CAMERA = Intrinsics.from_fov(math.pi / 4, 160, 120)
 
@@ -183,3 +183,20 @@ def test_near_depth_cuts_into_a_solid():
     depth = rasterise([mesh], camera_pose([0.3, 0, 0])[None], CAMERA, near_m=0.26).depth
     assert depth[60, 80] == pytest.approx(0.35, abs=1e-3)  # the front cap is cut away: the far inside is seen
     assert np.nanmin(depth) >= 0.26
+
+
+def test_labels_and_depth_agree_with_the_full_rasteriser():
+    meshes = [triangles(trimesh.creation.icosphere(subdivisions=3, radius=0.05)), plane(0.2)]
+    X_CM = np.stack([camera_pose([0.3, 0.1, 0.2])] * 2)
+    X_CM[1, :3, 3] += [0.02, 0.01, 0.05]
+    expected = rasterise(meshes, X_CM, CAMERA)
+    points = np.concatenate([m.vertices @ X[:3, :3].T + X[:3, 3] for m, X in zip(meshes, X_CM, strict=True)])
+    faces = np.concatenate([meshes[0].faces, meshes[1].faces + len(meshes[0].vertices)])
+    face_labels = np.repeat(np.array([3, 5], np.int8), [len(m.faces) for m in meshes])
+    depth, labels = np.full((120, 160), np.inf, np.float32), np.zeros((120, 160), np.int8)
+    raster_labels(
+        points, faces, face_labels, CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 1e-3, depth, labels
+    )  # fmt: skip
+    np.testing.assert_array_equal(depth, expected.depth)
+    np.testing.assert_array_equal(labels, np.array([3, 5, 0])[expected.mesh_index])
+    assert all((labels == value).sum() > 300 for value in (0, 3, 5))

@@ -201,3 +201,42 @@ def _raster_depth(points, faces, fx, fy, cx, cy, near, depth):  # type: ignore[n
                     z = volume / (b0 + b1 + b2)
                     if z >= near and np.float32(z) < depth[v, u]:
                         depth[v, u] = np.float32(z)
+
+
+@njit(cache=True, error_model="numpy")
+def raster_labels(points, faces, face_labels, fx, fy, cx, cy, near, depth, labels):  # type: ignore[no-untyped-def]
+    """Draw triangles into a depth image and, where they are nearest, their labels into a label image.
+
+    Args:
+        points: (V, 3) float64 corners, camera frame, metres.
+        faces: (F, 3) integer corners of the triangles.
+        face_labels: (F,) integer label of each triangle.
+        fx, fy, cx, cy: the camera, pixels.
+        near: surfaces nearer than this z-depth are not seen, metres.
+        depth: (h, w) float32 z-depth, changed in place; start with inf.
+        labels: (h, w) int8, changed in place; start with the label of what is not hit.
+    """
+    height, width = depth.shape
+    p = np.empty((3, 3))
+    e = np.empty((3, 3))
+    for face in range(faces.shape[0]):
+        for i in range(3):
+            for k in range(3):
+                p[i, k] = points[faces[face, i], k]
+        u0, u1, v0, v1 = _pixel_box(p, near, fx, fy, cx, cy, width, height)
+        if u1 <= u0:
+            continue
+        volume = _edge_planes(p, e)
+        if not volume > 0.0:
+            continue
+        for v in range(v0, v1):
+            y = (v - cy) / fy
+            r0, r1, r2 = e[0, 1] * y + e[0, 2], e[1, 1] * y + e[1, 2], e[2, 1] * y + e[2, 2]
+            for u in range(u0, u1):
+                x = (u - cx) / fx
+                b0, b1, b2 = r0 + e[0, 0] * x, r1 + e[1, 0] * x, r2 + e[2, 0] * x
+                if b0 >= 0.0 and b1 >= 0.0 and b2 >= 0.0:
+                    z = volume / (b0 + b1 + b2)
+                    if z >= near and np.float32(z) < depth[v, u]:
+                        depth[v, u] = np.float32(z)
+                        labels[v, u] = face_labels[face]
