@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -68,6 +69,12 @@ class PickUpConfig:
     hold_s: float = 2.0
 
 
+Planner = Callable[
+    [Manipulator, PlanningWorld, Plane, np.ndarray, PickUpConfig, int], tuple[PickResult | None, str, float]
+]
+"""Another choice of grasps: (robot, world, table in B, start (D,), config, seed) -> as `plan_in`."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PickProposal:
     """What a look led to: the plan, or why there is none.
@@ -103,6 +110,7 @@ def propose_pick(
     obstacles: Sequence[BoxObstacle] = (),
     estimator: PoseEstimator | None = None,
     refiner: PoseRefiner | None = None,
+    planner: Planner | None = None,
     config: PickUpConfig | None = None,
     seed: int = 0,
 ) -> PickProposal:
@@ -113,7 +121,9 @@ def propose_pick(
         others: further objects that may stand there. obstacles: boxes in B that the camera does not see, or need not.
         estimator: another pose estimate in place of `estimate_pose`'s. refiner: asked once a grasp is planned; with its
             pose the motion is planned again.
+        planner: chooses grasps in place of `plan_in`; `grasps` are then not used.
     """
+    planner = planner or partial(plan_stored, grasps)
     config, cpu = config or PickUpConfig(), time.thread_time()
     state, frame = robot.state(), robot.look()
     q = robot.manipulator.full_q(state.q_arm, state.q_hand)
@@ -127,18 +137,31 @@ def propose_pick(
     X_BO = sighting.X_BO if estimator is None else estimator(obj, view, sighting)
     looked = time.thread_time() - cpu
     world = _world(obj, X_BO, view, sighting, obstacles)
-    result, reason, made = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
+    result, reason, made = planner(robot.manipulator, world, view.plane_B, state.q_arm, config, seed)
     if refiner is not None and result is not None and result.plan is not None:
         cpu = time.thread_time()
         X_BO = refiner(obj, view, sighting, result.plan.X_BH)
         looked += time.thread_time() - cpu
         world = _world(obj, X_BO, view, sighting, obstacles)
-        result, reason, again = plan_in(robot.manipulator, world, view.plane_B, state.q_arm, grasps, config, seed)
+        result, reason, again = planner(robot.manipulator, world, view.plane_B, state.q_arm, config, seed)
         made += again
     return PickProposal(
         frame=frame, view=view, sighting=sighting, X_BO=X_BO, world=world, result=result, reason=reason,
         look_cpu_s=looked, grasps_cpu_s=made,
     )  # fmt: skip
+
+
+def plan_stored(
+    stored: GraspSet | None,
+    manipulator: Manipulator,
+    world: PlanningWorld,
+    table_B: Plane,
+    q_arm: np.ndarray,
+    config: PickUpConfig,
+    seed: int,
+) -> tuple[PickResult | None, str, float]:
+    """`plan_in` with the stored grasps first: a `Planner` once they are given."""
+    return plan_in(manipulator, world, table_B, q_arm, stored, config, seed)
 
 
 def plan_in(
@@ -163,7 +186,7 @@ def plan_in(
     for stage in _stages(target, plane_O, config):
         cpu = time.thread_time()
         found = grasps_on_table(hand, target.obj, plane_O, stored=stored, want=stage.count)
-        proof = None if stage.friction is None else _proof(manipulator, world, plane_O, stage.friction, config)
+        proof = None if stage.friction is None else proof_of_lift(manipulator, world, plane_O, stage.friction, config)
         made += time.thread_time() - cpu
         if len(found.grasps) == 0:
             return None, f"no grasp clears the table: {found.reason}", made
@@ -191,9 +214,10 @@ def _stages(target: PlacedObject, plane_O: Plane, config: PickUpConfig) -> tuple
     return config.stages
 
 
-def _proof(
+def proof_of_lift(
     manipulator: Manipulator, world: PlanningWorld, plane_O: Plane, friction: float, config: PickUpConfig
 ) -> LiftProof:
+    """The proof that a grasp lifts the world's target with a share of its friction, as the config closes the hand."""
     assert world.target is not None
     grip = min(config.plan.grip, config.force)
     return lift_proof(manipulator.hand, world.target.obj, plane_O, friction_scale=friction, grip=grip)

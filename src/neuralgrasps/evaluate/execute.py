@@ -8,7 +8,16 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from neuralgrasps.apply.pick_up import PickProposal, PickUpConfig, go_home, pick_steps, plan_in, propose_pick, set_down
+from neuralgrasps.apply.pick_up import (
+    PickProposal,
+    PickUpConfig,
+    Planner,
+    go_home,
+    pick_steps,
+    plan_stored,
+    propose_pick,
+    set_down,
+)
 from neuralgrasps.apply.simulated_robot import SimulatedRobot
 from neuralgrasps.apply.table_scenes import TableScene
 from neuralgrasps.arms.manipulator import Manipulator
@@ -48,6 +57,7 @@ class ExecuteConfig:
         record_every_s: states kept for pictures; None keeps none.
         camera_off_m, camera_off_rad: error of the camera's calibration, see `SimulatedRobot`. sensor: its noise.
         recheck: look again at every executed path, each millimetre, with the physics engine's exact shapes.
+        planner: chooses grasps in place of `plan_in`, with our pose or the true one.
     """
 
     pose: PoseMethod = "ours"
@@ -59,6 +69,7 @@ class ExecuteConfig:
     camera_off_m: float = 0.0
     camera_off_rad: float = 0.0
     sensor: DepthNoise = STRUCTURED_LIGHT
+    planner: Planner | None = None
 
     def __post_init__(self) -> None:
         if self.pose not in get_args(PoseMethod):
@@ -280,7 +291,7 @@ def _propose(
     seed: int,
 ) -> PickProposal:
     if config.pose == "true":
-        return true_proposal(robot, target, grasps, config.pick, seed)
+        return true_proposal(robot, target, grasps, config.pick, seed, planner=config.planner)
     if config.pose != "ours" and paper is None:
         raise InputError(f"pose method '{config.pose}' needs a trained field: give `paper`, or use 'ours'.")
     return propose_pick(
@@ -290,20 +301,26 @@ def _propose(
         others=[placed.obj for k, placed in enumerate(scene.objects) if k != target and robot.is_on_table(k)],
         estimator=None if config.pose == "ours" or paper is None else paper.baseline,
         refiner=paper.contact if config.pose == "contact" and paper is not None else None,
+        planner=config.planner,
         config=config.pick,
         seed=seed,
     )
 
 
 def true_proposal(
-    robot: SimulatedRobot, target: int, grasps: GraspSet | None, config: PickUpConfig, seed: int
+    robot: SimulatedRobot,
+    target: int,
+    grasps: GraspSet | None,
+    config: PickUpConfig,
+    seed: int,
+    *,
+    planner: Planner | None = None,
 ) -> PickProposal:
     """A plan with what the simulator knows."""
     world = robot.true_world(target)
     assert world.target is not None
-    result, reason, made = plan_in(
-        robot.manipulator, world, robot.table_plane, robot.state().q_arm, grasps, config, seed
-    )
+    planner = planner or partial(plan_stored, grasps)
+    result, reason, made = planner(robot.manipulator, world, robot.table_plane, robot.state().q_arm, config, seed)
     return PickProposal(
         frame=None, view=None, sighting=None, X_BO=world.target.X_BO, world=world, result=result, reason=reason,
         look_cpu_s=0.0, grasps_cpu_s=made,

@@ -28,7 +28,6 @@ _WEIGHTS = {
     "room": 0.5,
     "shake": 1.0,
     "strength": 2.0,
-    "preference": 1.0,
 }
 
 
@@ -56,6 +55,7 @@ def rank_candidates(
     *,
     clearance_m: float,
     preference: np.ndarray | None = None,
+    preference_weight: float = 1.0,
 ) -> RankedCandidates:
     """Drop grasps that the scene rules out and order the others.
 
@@ -66,6 +66,7 @@ def rank_candidates(
     Args:
         grasps: of `world.target`. clearance_m: least distance of the hand to boxes and other objects.
         preference: (N,) 0 to 1, larger is better, as a retrieval gives it; None: no preference.
+        preference_weight: of it, against 1 for the best clearance; a large one makes the preference the order.
     """
     target = world.target
     assert target is not None
@@ -75,7 +76,9 @@ def rank_candidates(
     fits = leaves_room(hand, grasps.q)
     clear = clearance >= clearance_m
     kept = np.flatnonzero(fits & clear)
-    score = _score(hand, grasps, target, X_BH, clearance, preference)
+    score = _score(hand, grasps, target, X_BH, clearance)
+    if preference is not None:
+        score = score + preference_weight * np.asarray(preference, float)
     order = kept[np.argsort(-score[kept], kind="stable")]
     dropped = {"too wide for the jaw": int((~fits).sum()), "hand hits what is around": int((fits & ~clear).sum())}
     return RankedCandidates(index=order, score=score[order], clearance_m=clearance[order], dropped=dropped)
@@ -87,7 +90,6 @@ def _score(
     target: PlacedObject,
     X_BH: np.ndarray,
     clearance: np.ndarray,
-    preference: np.ndarray | None,
 ) -> np.ndarray:
     score = _WEIGHTS["clearance"] * np.clip(clearance / _FULL_CLEARANCE_M, 0.0, 1.0)
     score = score + _WEIGHTS["epsilon"] * grasps.epsilon
@@ -97,8 +99,6 @@ def _score(
         score -= _WEIGHTS["lever"] * gravity_lever(hand, target, X_BH) / _LEVER_M
     if "shake" in grasps.verdicts:
         score += _WEIGHTS["shake"] * grasps.verdicts["shake"].success
-    if preference is not None:
-        score += _WEIGHTS["preference"] * np.asarray(preference, float)
     return np.asarray(score)
 
 

@@ -49,6 +49,7 @@ class PickConfig:
         speed: share of the velocity limits for the transfer; accelerations are scaled by its square.
         approach_speed, lift_speed: of the hand, m/s. grip: share of the hand's effort limits, see
             `grip_target`.
+        preference_weight: of the caller's preference among grasps, see `rank_candidates`.
         path: of the path planner. collision: margins; an open hand keeps 1.5 mm from the object until it closes.
     """
 
@@ -65,6 +66,7 @@ class PickConfig:
     approach_speed: float = 0.08
     lift_speed: float = 0.12
     grip: float = 1.0
+    preference_weight: float = 1.0
     path: PathConfig = field(default_factory=PathConfig)
     collision: CollisionConfig = field(default_factory=lambda: CollisionConfig(near_target_margin_m=0.0015))
 
@@ -230,8 +232,9 @@ class _Walk:
         if touching:
             return self._result(None, f"the arm's start is in collision: {touching}.", 0, True, cpu, blocked=True)
         ranked = rank_candidates(
-            self.manipulator, self.grasps, self.world, clearance_m=self.config.clearance_m, preference=preference
-        )
+            self.manipulator, self.grasps, self.world, clearance_m=self.config.clearance_m, preference=preference,
+            preference_weight=self.config.preference_weight,
+        )  # fmt: skip
         self.counts.update(ranked.dropped)
         plan, tried, complete = None, 0, True
         for k in range(len(ranked.index)):

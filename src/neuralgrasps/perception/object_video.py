@@ -1,0 +1,192 @@
+"""A known object over a video: found where nothing hides it, kept while it stands still, followed when it moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.raster import depth_images
+from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.clusters import find_clusters
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.pose import PoseResult, estimate_pose
+from neuralgrasps.perception.table import TableFit, find_table
+from neuralgrasps.perception.track import track_pose
+
+Hidden = Callable[[int], np.ndarray | None]
+"""Of a frame's number: (h, w) bool, pixels that may show a person; None when nobody is there."""
+
+_TRIED, _TRIED_HIDDEN = 3, 5  # frames that the object is looked for in: without a person, and with one
+_SURE, _LEAST = 0.9, 0.5  # confidence that ends the search; least that counts as found
+_CLUSTERS, _LEAST_PIXELS = 3, 50
+_AGREE_M, _GONE_M = 0.010, 0.020  # measured so near to the model, or so far behind it
+_GONE_SHARE, _LOST_SHARE = 0.25, 0.5  # of its pixels that are not hidden, so many show what is behind it
+_SEARCH_STRIDE = 2  # pixels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FollowedObject:
+    """Where an object is in T frames.
+
+    Attributes:
+        X_CO: (T, 4, 4) object in each frame's camera; nan where it is lost.
+        seen: (T,) share of the pixels it would cover that show its surface there; the rest is hidden, or not measured.
+        found_in: the frame it was found in; pose: there. table: the plane it stands on, in that frame's camera.
+        moves_from, lost_from: first frame in which it is no longer where it stood, or nowhere to be found; None: never.
+        reason: why it was not found at all, "" when it was.
+    """
+
+    X_CO: np.ndarray
+    seen: np.ndarray
+    found_in: int
+    pose: PoseResult | None
+    table: TableFit | None
+    moves_from: int | None
+    lost_from: int | None
+    reason: str
+
+
+def follow_object(
+    frames: Sequence[Frame], obj: ObjectModel, *, hidden: Hidden | None = None, seed: int = 0
+) -> FollowedObject:
+    """Find an object that stands on a table at first, and follow it.
+
+    Args:
+        frames: of one camera. It stands still unless all frames have a camera pose `X_WC`.
+        hidden: pixels to leave out when it is looked for, such as a hand's box. A hand before the object is no sign
+            that it has gone, so that following needs no mask.
+        seed: of the searches.
+    Raises:
+        InputError: no frames.
+    """
+    if not frames:
+        raise InputError("there are no frames to look for the object in; expected at least one.")
+    hidden = hidden or (lambda _: None)
+    best, reason = None, "no frame"
+    for index in _order(len(frames), hidden):
+        found, why = _find(without(frames[index], hidden(index)), obj, seed)
+        reason = why or reason
+        if found is not None and (best is None or found[0].confidence > best[1].confidence):
+            best = (index, *found)
+        if best is not None and best[1].confidence >= _SURE:
+            break
+    if best is None or best[1].confidence < _LEAST:
+        if best is not None:
+            reason = f"what stands there does not look like '{obj.name}': the confidence is {best[1].confidence:.2f}."
+        return _nowhere(len(frames), reason, None if best is None else best[1], None if best is None else best[2])
+    index, pose, table = best
+    return _follow(frames, obj, index, pose, table, seed)
+
+
+def without(frame: Frame, hidden: np.ndarray | None) -> Frame:
+    """The frame with the depth of some pixels left out; as it is when nothing would be left."""
+    if hidden is None or not (frame.depth[~hidden] > 0).any():
+        return frame
+    return replace(frame, depth=np.where(hidden, 0.0, frame.depth))
+
+
+def _order(count: int, hidden: Hidden) -> list[int]:
+    """Frames to look in: a few without a person, the first ones first, then a few others."""
+    clear: list[int] = []
+    for k in range(count):
+        if hidden(k) is None:
+            clear.append(k)
+        elif clear:
+            break  # before the hand comes, nobody has moved anything
+    some = clear[:: max(1, len(clear) // _TRIED)][:_TRIED]
+    rest = [k for k in range(0, count, max(1, count // _TRIED_HIDDEN)) if k not in some]
+    return some + rest[:_TRIED_HIDDEN]
+
+
+def _find(frame: Frame, obj: ObjectModel, seed: int) -> tuple[tuple[PoseResult, TableFit] | None, str]:
+    try:
+        table = find_table(frame, seed=seed)
+    except InputError as error:
+        return None, str(error)
+    best: PoseResult | None = None
+    for mask in find_clusters(frame, table.plane, extent=table.extent)[:_CLUSTERS]:
+        if (mask & (frame.depth > 0)).sum() < _LEAST_PIXELS:
+            continue
+        pose = estimate_pose(
+            obj, depth=frame.depth, intrinsics=frame.intrinsics, mask=mask, table=table.plane, seed=seed
+        )
+        if best is None or pose.confidence > best.confidence:
+            best = pose
+    if best is None:
+        return None, "nothing stands on the table."
+    return (best, table), ""
+
+
+def _nowhere(count: int, reason: str, pose: PoseResult | None, table: TableFit | None) -> FollowedObject:
+    return FollowedObject(
+        X_CO=np.full((count, 4, 4), np.nan), seen=np.zeros(count), found_in=-1, pose=pose, table=table,
+        moves_from=None, lost_from=0, reason=reason,
+    )  # fmt: skip
+
+
+def _follow(
+    frames: Sequence[Frame], obj: ObjectModel, start: int, pose: PoseResult, table: TableFit, seed: int
+) -> FollowedObject:
+    poses, seen = np.full((len(frames), 4, 4), np.nan), np.zeros(len(frames))
+    X_WC = _camera_poses(frames)
+    X_WO = X_WC[start] @ pose.X_CO
+    moves_from: int | None = None
+    lost_from: int | None = None
+    for k, frame in enumerate(frames):
+        X_CO = inverse_np(X_WC[k]) @ X_WO
+        gone, seen[k] = _compare(frame, obj, X_CO)
+        if k > start and gone > _GONE_SHARE:
+            moves_from = k if moves_from is None else moves_from
+            tracked = _tracked(frame, obj, X_CO, seed)
+            if tracked is None:
+                lost_from = k
+                break
+            X_CO, X_WO = tracked, X_WC[k] @ tracked
+            gone, seen[k] = _compare(frame, obj, X_CO)
+            if gone > _LOST_SHARE:
+                lost_from = k
+                break
+        poses[k] = X_CO
+    return FollowedObject(
+        X_CO=poses, seen=seen, found_in=start, pose=pose, table=table, moves_from=moves_from, lost_from=lost_from,
+        reason="",
+    )  # fmt: skip
+
+
+def _camera_poses(frames: Sequence[Frame]) -> list[np.ndarray]:
+    known = [f.X_WC for f in frames if f.X_WC is not None]
+    return known if len(known) == len(frames) else [np.eye(4)] * len(frames)
+
+
+def _tracked(view: Frame, obj: ObjectModel, X_CO: np.ndarray, seed: int) -> np.ndarray | None:
+    try:
+        return track_pose(obj, view.depth, view.intrinsics, X_CO, seed=seed).X_CO
+    except InputError:  # too few pixels near it
+        return None
+
+
+def _compare(view: Frame, obj: ObjectModel, X_CO: np.ndarray) -> tuple[float, float]:
+    """Of the pixels that the object at a pose covers: the share seen through, of those not hidden; and that agree."""
+    k = view.intrinsics
+    model = depth_images(obj.mesh, X_CO[None], k)[0][::_SEARCH_STRIDE, ::_SEARCH_STRIDE]
+    depth = view.depth[::_SEARCH_STRIDE, ::_SEARCH_STRIDE]
+    covered = np.isfinite(model)
+    if not covered.any():
+        return 1.0, 0.0
+    behind = depth[covered] - model[covered]
+    measured = depth[covered] > 0
+    agree = float((measured & (np.abs(behind) < _AGREE_M)).sum())
+    through = float((measured & (behind > _GONE_M)).sum())
+    return through / max(agree + through, 1.0), agree / covered.sum()
+
+
+def table_in_object(followed: FollowedObject) -> Plane | None:
+    """The table in the object's frame as it stood, normal up; None when it was not found."""
+    if followed.table is None or followed.pose is None or followed.reason:
+        return None
+    return followed.table.plane.moved(inverse_np(followed.pose.X_CO))
