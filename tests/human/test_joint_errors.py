@@ -16,7 +16,7 @@ def truth():
 
 
 def test_a_shift_is_no_root_relative_error(truth):
-    np.testing.assert_allclose(root_relative_error(truth + [0.3, -0.1, 0.2], truth), 0.0, atol=1e-12)
+    np.testing.assert_allclose(root_relative_error(truth + np.array([0.3, -0.1, 0.2]), truth), 0.0, atol=1e-12)
 
 
 def test_one_joint_off_counts_a_twentieth(truth):
