@@ -1,0 +1,446 @@
+"""Random scenes with one right hand, for training images: what it holds, its forearm, a table, things around.
+
+A scene is triangles with labels in the camera frame; `draw_scene` renders it into any camera. The same seed gives the
+same scene.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from neuralgrasps.compiled import njit
+from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.geometry.raster import NEAR_M, raster_labels
+from neuralgrasps.human.scene_kit import SceneKit
+from neuralgrasps.kinematics.forward_kernels import link_poses
+
+BACKGROUND, TABLE, OBJECT, HAND, FOREARM, CLUTTER = range(6)
+
+_RINGS, _ROUND = 4, 10  # of the forearm
+_WRIST_M = (0.027, 0.036)  # half thickness and half width of the wrist at scale 1
+_CLUTTER = 4
+
+
+class SceneMix(NamedTuple):
+    """How scenes are drawn.
+
+    Attributes:
+        held, near: shares of hands that hold a solid, and of those that are about to; the others are empty.
+        table, wall: shares of scenes with a table below and with a wall behind.
+        varied: share of hands whose bones and thickness are not those of the model.
+        smallest, largest: sizes of hands; nearest_m, farthest_m: distance of the palm along the view.
+        span_x, span_y: how far from the middle of the view the palm may be, as x / z and y / z.
+        clutter: most things around.
+    """
+
+    held: float = 0.62
+    near: float = 0.12
+    table: float = 0.6
+    wall: float = 0.7
+    varied: float = 0.6
+    smallest: float = 0.66
+    largest: float = 0.92
+    nearest_m: float = 0.35
+    farthest_m: float = 1.2
+    span_x: float = 0.5
+    span_y: float = 0.38
+    clutter: int = 3
+
+
+class SceneBuffers(NamedTuple):
+    """Room for one scene: triangles (`counts` of corners and faces are used), labels and the truth about the hand."""
+
+    points: np.ndarray
+    faces: np.ndarray
+    labels: np.ndarray
+    counts: np.ndarray
+    joints: np.ndarray
+    X_CH: np.ndarray
+    q: np.ndarray
+    scale: np.ndarray
+    X_HL: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RandomScene:
+    """One scene in the camera frame, metres.
+
+    Attributes:
+        points_C: (V, 3) corners; faces: (F, 3) int32; face_labels: (F,) int8: BACKGROUND, TABLE, OBJECT (the one held
+            or about to be), HAND, FOREARM, CLUTTER.
+        joints_C: (21, 3) the right hand's joints; X_CH: (4, 4); q: (20,); scale: its size.
+        holds: it holds something.
+    """
+
+    points_C: np.ndarray
+    faces: np.ndarray
+    face_labels: np.ndarray
+    joints_C: np.ndarray
+    X_CH: np.ndarray
+    q: np.ndarray
+    scale: float
+    holds: bool
+
+
+def random_scene(kit: SceneKit, seed: int, mix: SceneMix | None = None) -> RandomScene:
+    """The scene of a seed (0 to 2^32 - 1)."""
+    room = scene_buffers(kit)
+    holds = compose_scene(kit, mix or SceneMix(), np.uint32(seed), room)
+    corners, triangles = room.counts
+    return RandomScene(
+        points_C=room.points[:corners], faces=room.faces[:triangles], face_labels=room.labels[:triangles],
+        joints_C=room.joints, X_CH=room.X_CH, q=room.q, scale=float(room.scale[0]), holds=bool(holds),
+    )  # fmt: skip
+
+
+def draw_scene(scene: RandomScene, intrinsics: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (h, w) float32, metres, 0 where nothing is, and labels (h, w) int8, without sensor noise."""
+    shape = (intrinsics.height, intrinsics.width)
+    depth, labels = np.full(shape, np.inf, np.float32), np.zeros(shape, np.int8)
+    k = intrinsics
+    raster_labels(
+        scene.points_C, scene.faces, scene.face_labels, float(k.fx), float(k.fy), float(k.cx), float(k.cy), NEAR_M,
+        depth, labels,
+    )  # fmt: skip
+    depth[~np.isfinite(depth)] = 0.0
+    return depth, labels
+
+
+def scene_buffers(kit: SceneKit) -> SceneBuffers:
+    """Room for any scene of this kit."""
+    solids = 1 + _CLUTTER
+    corners = len(kit.skin_core) + _RINGS * _ROUND + 1 + solids * kit.max_points + 8
+    triangles = len(kit.skin_faces) + 2 * _RINGS * _ROUND + solids * kit.max_faces + 4
+    return SceneBuffers(
+        points=np.zeros((corners, 3)), faces=np.zeros((triangles, 3), np.int32), labels=np.zeros(triangles, np.int8),
+        counts=np.zeros(2, np.int64), joints=np.zeros((21, 3)), X_CH=np.eye(4), q=np.zeros(len(kit.lower)),
+        scale=np.ones(1), X_HL=np.zeros((len(kit.parents), 4, 4)),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def compose_scene(kit, mix, seed, room):  # type: ignore[no-untyped-def]
+    """Write the scene of a seed into `room`; True when the hand holds a solid."""
+    np.random.seed(seed)
+    room.counts[:] = 0
+    scale = np.random.uniform(mix.smallest, mix.largest)
+    room.scale[0] = scale
+    share = np.random.random()
+    holds, near = share < mix.held, share < mix.held + mix.near
+    grasp = np.random.randint(len(kit.held_solid))
+    if near:
+        _draw_held_posture(kit, grasp, not holds, room.q)
+    else:
+        _draw_free_posture(kit, room.q)
+    up = _draw_up()
+    has_table = np.random.random() < mix.table
+    forearm_H = _draw_forearm_direction()
+    R = room.X_CH[:3, :3]
+    for _ in range(12):
+        _random_rotation(R)
+        rise = 0.0
+        for i in range(3):
+            rise += up[i] * (R[i, 0] * forearm_H[0] + R[i, 1] * forearm_H[1] + R[i, 2] * forearm_H[2])
+        if not has_table or rise > -0.1:
+            break
+    palm = np.empty(3)
+    palm[2] = np.random.uniform(mix.nearest_m, mix.farthest_m)
+    palm[0] = palm[2] * np.random.uniform(-mix.span_x, mix.span_x)
+    palm[1] = palm[2] * np.random.uniform(-mix.span_y, mix.span_y)
+    for i in range(3):  # the middle of the palm lies 0.1 along -x of the wrist
+        room.X_CH[i, 3] = palm[i] + 0.1 * scale * R[i, 0]
+    thick = _place_hand(kit, mix, scale, room)
+    _place_forearm(room, forearm_H, scale * thick)
+    if near:
+        _place_held(kit, grasp, scale, not holds, room)
+    low = _lowest(room, up)
+    floor = low - (0.0 if np.random.random() < 0.5 else np.random.uniform(0.0, 0.15))
+    for _ in range(np.random.randint(mix.clutter + 1)):
+        _place_clutter(kit, palm, up, floor, has_table, room)
+    if has_table:
+        _place_table(palm, up, floor, room)
+    if np.random.random() < mix.wall:
+        _place_wall(palm, room)
+    return holds
+
+
+@njit(cache=True, error_model="numpy")
+def _random_rotation(R):  # type: ignore[no-untyped-def]
+    """A uniformly random rotation, of a random unit quaternion."""
+    w, x, y, z = np.random.normal(), np.random.normal(), np.random.normal(), np.random.normal()
+    n = math.sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w / n, x / n, y / n, z / n
+    R[0, 0], R[0, 1], R[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
+    R[1, 0], R[1, 1], R[1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    R[2, 0], R[2, 1], R[2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_up():  # type: ignore[no-untyped-def]
+    """The world's up in the frame of a camera that looks down by up to 75 degrees and is held nearly level."""
+    pitch, roll = np.random.uniform(-0.1, 1.3), np.random.normal() * 0.12
+    up = np.empty(3)
+    up[0], up[1], up[2] = math.cos(pitch) * math.sin(roll), -math.cos(pitch) * math.cos(roll), -math.sin(pitch)
+    return up
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_held_posture(kit, grasp, opened, q):  # type: ignore[no-untyped-def]
+    """A grasp of the bank with some play in its joints, or on the way from open to it."""
+    share = np.random.random() * 0.9 if opened else 1.0
+    spread = 0.12 if opened else 0.06
+    for j in range(q.shape[0]):
+        value = kit.q_open[j] + share * (kit.held_q[grasp, j] - kit.q_open[j]) + spread * np.random.normal()
+        q[j] = min(max(value, kit.lower[j]), kit.upper[j])
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_free_posture(kit, q):  # type: ignore[no-untyped-def]
+    """Fingers that curl together or each on its own, the last joint with the one before it; joints 4 to a finger."""
+    common, together = np.random.random(), np.random.random() < 0.5
+    for finger in range(4):
+        curl = common + 0.15 * np.random.normal() if together else np.random.random()
+        base = 4 * finger
+        bend = curl + 0.2 * np.random.normal()
+        q[base] = np.random.normal() * 0.5 * kit.upper[base]
+        q[base + 1] = -0.1 + 1.6 * (curl + 0.25 * np.random.normal())
+        q[base + 2] = 1.6 * bend
+        q[base + 3] = 0.67 * q[base + 2] + 0.15 * np.random.normal()
+    for j in range(16, 20):
+        q[j] = kit.lower[j] + np.random.random() * (kit.upper[j] - kit.lower[j])
+        if np.random.random() < 0.5:
+            q[j] = 0.5 * (q[j] + kit.q_open[j])
+    for j in range(q.shape[0]):
+        q[j] = min(max(q[j], kit.lower[j]), kit.upper[j])
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_forearm_direction():  # type: ignore[no-untyped-def]
+    """From the wrist to the elbow in H: +x, with the wrist bent about z and y."""
+    bend = min(max(0.4 * np.random.normal(), -1.1), 1.1)
+    side = min(max(0.2 * np.random.normal(), -0.5), 0.5)
+    out = np.empty(3)
+    out[0], out[1], out[2] = math.cos(bend) * math.cos(side), math.sin(bend) * math.cos(side), math.sin(side)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _place_hand(kit, mix, scale, room):  # type: ignore[no-untyped-def]
+    """The hand's skin and joints; bones and thickness may differ from the model's. Returns the thickness factor."""
+    links = kit.parents.shape[0]
+    longer = np.ones(links)
+    thick, breadth = 1.0, 1.0
+    if np.random.random() < mix.varied:
+        thick, breadth = math.exp(0.07 * np.random.normal()), math.exp(0.03 * np.random.normal())
+        for finger in range(5):
+            whole = math.exp(0.03 * np.random.normal())
+            for k in range(4):
+                longer[1 + 4 * finger + k] = whole * math.exp(0.02 * np.random.normal())
+    X_parent = kit.X_parent_joint.copy()
+    for link in range(links):
+        parent = kit.parents[link]
+        for i in range(3):
+            X_parent[link, i, 3] *= scale * (longer[parent] if parent > 0 else breadth if i == 2 else 1.0)
+    link_poses(kit.parents, kit.joint_types, X_parent, kit.axes, kit.coupling, kit.offset, room.q, room.X_HL)
+    local, in_H = np.empty(3), np.empty(3)
+    for k in range(kit.joint_link.shape[0]):
+        link = kit.joint_link[k]
+        for i in range(3):
+            local[i] = scale * longer[link] * kit.joint_L[k, i]
+        _moved(room.X_HL[link], local, in_H)
+        _moved(room.X_CH, in_H, room.joints[k])
+    for v in range(kit.skin_core.shape[0]):
+        link = kit.skin_link[v]
+        for i in range(3):
+            stretch = longer[link] if link > 0 else breadth if i == 2 else 1.0
+            local[i] = scale * (stretch * kit.skin_core[v, i] + thick * kit.skin_offset[v, i])
+        _moved(room.X_HL[link], local, in_H)
+        _moved(room.X_CH, in_H, room.points[v])
+    for f in range(kit.skin_faces.shape[0]):
+        room.faces[f] = kit.skin_faces[f]
+        room.labels[f] = HAND
+    room.counts[0], room.counts[1] = kit.skin_core.shape[0], kit.skin_faces.shape[0]
+    return thick
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _moved(X, p, out):  # type: ignore[no-untyped-def]
+    for i in range(3):
+        out[i] = X[i, 0] * p[0] + X[i, 1] * p[1] + X[i, 2] * p[2] + X[i, 3]
+
+
+@njit(cache=True, error_model="numpy")
+def _place_forearm(room, along, size):  # type: ignore[no-untyped-def]
+    """A tube of ellipses from the wrist, wider towards the elbow, in a sleeve at times."""
+    sleeve = np.random.uniform(1.1, 1.6) if np.random.random() < 0.3 else 1.0
+    start = np.random.uniform(0.0, 0.08) if sleeve > 1.0 else 0.0
+    fat, length = np.random.uniform(0.9, 1.15), np.random.uniform(0.27, 0.36) * size
+    side = np.empty(3)  # across the forearm in its broad direction: z of H made perpendicular to it
+    for i in range(3):
+        side[i] = (1.0 if i == 2 else 0.0) - along[2] * along[i]
+    n = math.sqrt(side[0] ** 2 + side[1] ** 2 + side[2] ** 2)
+    side /= n
+    over = np.cross(along, side)
+    first, p = room.counts[0], np.empty(3)
+    for ring in range(_RINGS):
+        share = ring / (_RINGS - 1.0)
+        widen = fat * (sleeve if start == 0.0 or ring > 0 else 1.0) * (1.0 + 0.45 * math.sqrt(share))
+        for k in range(_ROUND):
+            angle = 2.0 * math.pi * k / _ROUND
+            a = size * widen * _WRIST_M[0] * math.cos(angle)
+            b = size * widen * _WRIST_M[1] * math.sin(angle)
+            distance = -0.012 * size if ring == 0 else start * size + share * length
+            for i in range(3):
+                p[i] = distance * along[i] + a * over[i] + b * side[i]
+            _moved(room.X_CH, p, room.points[first + ring * _ROUND + k])
+    end = first + _RINGS * _ROUND
+    for i in range(3):
+        p[i] = (start * size + length) * along[i]
+    _moved(room.X_CH, p, room.points[end])
+    for ring in range(_RINGS):
+        for k in range(_ROUND):
+            a, b = first + ring * _ROUND + k, first + ring * _ROUND + (k + 1) % _ROUND
+            if ring == _RINGS - 1:
+                _add_face(room, a, b, end, FOREARM)
+            else:
+                _add_face(room, a, b, a + _ROUND, FOREARM)
+                _add_face(room, b, b + _ROUND, a + _ROUND, FOREARM)
+    room.counts[0] = end + 1
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _add_face(room, a, b, c, label):  # type: ignore[no-untyped-def]
+    face = room.counts[1]
+    room.faces[face, 0], room.faces[face, 1], room.faces[face, 2] = a, b, c
+    room.labels[face] = label
+    room.counts[1] = face + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _place_solid(kit, solid, X, size, label, room):  # type: ignore[no-untyped-def]
+    """A solid of the bank at X (4, 4), `size` times as large; `size` per axis."""
+    first, start = room.counts[0], kit.point_start[solid]
+    count, p = kit.point_start[solid + 1] - start, np.empty(3)
+    for v in range(count):
+        for i in range(3):
+            p[i] = size[i] * kit.solid_points[start + v, i]
+        _moved(X, p, room.points[first + v])
+    for f in range(kit.face_start[solid], kit.face_start[solid + 1]):
+        _add_face(
+            room, first + kit.solid_faces[f, 0], first + kit.solid_faces[f, 1], first + kit.solid_faces[f, 2], label
+        )
+    room.counts[0] = first + count
+
+
+@njit(cache=True, error_model="numpy")
+def _place_held(kit, grasp, scale, opened, room):  # type: ignore[no-untyped-def]
+    """The solid of a grasp in the hand, or a little away from a hand that comes to take it."""
+    X_OH, X_CO = kit.held_X[grasp], np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                X_CO[i, j] += room.X_CH[i, k] * X_OH[j, k]
+    shift, size = np.empty(3), np.full(3, scale)
+    away = np.random.uniform(0.0, 0.12) if opened else 0.0
+    for i in range(3):
+        shift[i] = 0.0015 * np.random.normal()
+        if opened:
+            shift[i] += 0.01 * np.random.normal()
+    shift[0] -= 0.5 * away * np.random.random()  # along the fingers
+    shift[1] -= away  # out of the palm
+    for i in range(3):
+        X_CO[i, 3] = room.X_CH[i, 3]
+        for j in range(3):
+            X_CO[i, 3] += room.X_CH[i, j] * shift[j] - scale * X_CO[i, j] * X_OH[j, 3]
+    _place_solid(kit, kit.held_solid[grasp], X_CO, size, OBJECT, room)
+
+
+@njit(cache=True, error_model="numpy")
+def _lowest(room, up):  # type: ignore[no-untyped-def]
+    low = np.inf
+    for v in range(room.counts[0]):
+        low = min(low, room.points[v, 0] * up[0] + room.points[v, 1] * up[1] + room.points[v, 2] * up[2])
+    return low
+
+
+@njit(cache=True, error_model="numpy")
+def _place_clutter(kit, palm, up, floor, has_table, room):  # type: ignore[no-untyped-def]
+    """A solid beside the hand: on the table, standing or lying, or somewhere in the air."""
+    solid = np.random.randint(kit.point_start.shape[0] - 1)
+    X, size = np.eye(4), np.random.uniform(0.6, 1.4, 3)
+    R = X[:3, :3]
+    _random_rotation(R)
+    if has_table and np.random.random() < 0.7:
+        _stand(R, up)
+    reach, side = np.random.uniform(0.09, 0.4), np.empty(3)
+    for i in range(3):
+        side[i] = np.random.normal()
+    along = side[0] * up[0] + side[1] * up[1] + side[2] * up[2]
+    if has_table:
+        side -= along * up
+    side /= math.sqrt(side[0] ** 2 + side[1] ** 2 + side[2] ** 2) + 1e-9
+    X[:3, 3] = palm + reach * side
+    first = room.counts[0]
+    _place_solid(kit, solid, X, size, CLUTTER, room)
+    if has_table:
+        low = np.inf
+        for v in range(first, room.counts[0]):
+            low = min(low, room.points[v, 0] * up[0] + room.points[v, 1] * up[1] + room.points[v, 2] * up[2])
+        for v in range(first, room.counts[0]):
+            room.points[v] += (floor - low) * up
+
+
+@njit(cache=True, error_model="numpy")
+def _stand(R, up):  # type: ignore[no-untyped-def]
+    """Turn a rotation the short way so that its z axis points up."""
+    z = R[:, 2].copy()
+    axis = np.cross(z, up)
+    c = z[0] * up[0] + z[1] * up[1] + z[2] * up[2]
+    if c < -0.999:
+        return
+    for column in range(3):
+        v = R[:, column].copy()
+        cross = np.cross(axis, v)
+        dot = axis[0] * v[0] + axis[1] * v[1] + axis[2] * v[2]
+        for i in range(3):
+            R[i, column] = c * v[i] + cross[i] + axis[i] * dot / (1.0 + c)
+
+
+@njit(cache=True, error_model="numpy")
+def _place_table(palm, up, floor, room):  # type: ignore[no-untyped-def]
+    """A rectangle at height `floor` along `up`, under the palm, of random size and turn."""
+    side = np.cross(up, np.array([0.3, 0.2, 1.0]))
+    side /= math.sqrt(side[0] ** 2 + side[1] ** 2 + side[2] ** 2)
+    front = np.cross(side, up)
+    turn = np.random.uniform(0.0, 2.0 * math.pi)
+    a, b = math.cos(turn) * side + math.sin(turn) * front, math.cos(turn) * front - math.sin(turn) * side
+    height = palm[0] * up[0] + palm[1] * up[1] + palm[2] * up[2]
+    middle = palm + (floor - height) * up + np.random.uniform(-0.3, 0.3) * a + np.random.uniform(-0.3, 0.3) * b
+    _place_quad(middle, a * np.random.uniform(0.35, 1.2), b * np.random.uniform(0.35, 1.2), TABLE, room)
+
+
+@njit(cache=True, error_model="numpy")
+def _place_wall(palm, room):  # type: ignore[no-untyped-def]
+    """A large plane behind the hand, roughly facing the camera."""
+    distance = 0.15 + 2.5 * np.random.random() ** 2
+    tilt_x, tilt_y = 0.4 * np.random.normal(), 0.4 * np.random.normal()
+    a, b, middle = np.zeros(3), np.zeros(3), palm * (1.0 + distance / palm[2])
+    a[0], a[2], b[1], b[2] = 4.0, 4.0 * min(max(tilt_x, -0.8), 0.8), 4.0, 4.0 * min(max(tilt_y, -0.8), 0.8)
+    _place_quad(middle, a, b, BACKGROUND, room)
+
+
+@njit(cache=True, error_model="numpy")
+def _place_quad(middle, a, b, label, room):  # type: ignore[no-untyped-def]
+    first = room.counts[0]
+    for i in range(3):
+        room.points[first, i] = middle[i] - a[i] - b[i]
+        room.points[first + 1, i] = middle[i] + a[i] - b[i]
+        room.points[first + 2, i] = middle[i] + a[i] + b[i]
+        room.points[first + 3, i] = middle[i] - a[i] + b[i]
+    room.counts[0] = first + 4
+    _add_face(room, first, first + 1, first + 2, label)
+    _add_face(room, first, first + 2, first + 3, label)
