@@ -9,6 +9,7 @@ from pathlib import Path
 from neuralgrasps.apply.constraints import ApproachCone
 from neuralgrasps.apply.regions import AXES, OUTER_THIRD, SIDES, Ball, Box, Points, Region, Side
 from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.perception.frame_files import read_cloud
 
 REGION_FORMS = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r (metres, object frame), file:points.ply"
 _UNITS = {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0}
@@ -33,8 +34,6 @@ def parse_region(text: str) -> Region:
         numbers = _numbers(text, rest, 4, "sphere:x,y,z,r")
         return Ball((numbers[0], numbers[1], numbers[2]), numbers[3])
     if word == "file":
-        from neuralgrasps.perception.frame_files import read_cloud
-
         if not rest:
             raise InputError(f"region '{text}' names no file; expected file:points.ply, points in the object's frame.")
         return Points(read_cloud(Path(rest)), name=text.strip())

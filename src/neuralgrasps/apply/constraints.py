@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,12 +15,15 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import pack_shapes
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.resting_plane import resting_planes
+from neuralgrasps.synthesis.contacts import TOUCH_M
 from neuralgrasps.synthesis.support import Support
 
-TOUCH_M = 1e-3  # a hand nearer than this touches
 MARGIN_M = 5e-3
 _EXACT_M = 5e-5  # distances are decided to so much
 _LEAST_AREA = 0.005  # of the surface: a smaller patch cannot be held by two fingers
+_Check = Callable[
+    [Hand, np.ndarray, np.ndarray, np.ndarray | None], np.ndarray
+]  # hand, X_OH, q, q_pregrasp -> (N,) bool
 _UP_COSINE = np.cos(np.radians(30.0))  # a face of an object counts as "+z" up to so much off the axis
 
 
@@ -110,9 +113,9 @@ class GraspConstraints:
         """The table under the object, for `side_up`; None without."""
         if self.side_up is None:
             return None
-        planes = resting_planes(self.obj)
-        best = max(planes, key=lambda p: float(p.normal @ AXES[self.side_up]))
-        if best.normal @ AXES[self.side_up] < _UP_COSINE:
+        planes, axis = resting_planes(self.obj), AXES[self.side_up]
+        best = max(planes, key=lambda p: float(p.normal @ axis))
+        if best.normal @ axis < _UP_COSINE:
             possible = [n for n, a in AXES.items() if any(p.normal @ a >= _UP_COSINE for p in planes)]
             raise InputError(
                 f"'{self.obj.name}' does not rest with its {self.side_up} side up: it would fall over. It rests with "
@@ -207,9 +210,9 @@ class GraspConstraints:
         """What the sides top and bottom are measured along: the axis nearest to up, as users name it."""
         return max(AXES.values(), key=lambda a: float(a @ self.up_O))
 
-    def _checks(self):  # type: ignore[no-untyped-def]
-        """Name -> check(hand, X_OH, q, q_pregrasp) -> (N,) bool."""
-        checks = {}
+    def _checks(self) -> dict[str, _Check]:
+        """By their names."""
+        checks: dict[str, _Check] = {}
         if self.approach is not None:
             checks[f"approach along {self.approach}"] = self._comes_along
         if self.support is not None:

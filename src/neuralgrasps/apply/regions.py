@@ -43,7 +43,7 @@ class Side:
             raise InputError(f"side '{self.name}': its share is {self.share:g}; expected above 0 and at most 1.")
 
     def depth(self, points_O: np.ndarray, obj: ObjectModel, up_O: np.ndarray) -> np.ndarray:
-        """Signed distance of points (M, 3) to the region's volume, metres, negative inside; changes by at most 1 m/m."""
+        """Signed distance of points (M, 3) to the region's volume, metres, negative inside; or a bound nearer to 0."""
         if self.name == "side":
             both = [Side(name, self.share).depth(points_O, obj, up_O) for name in ("top", "bottom")]
             return np.maximum(-both[0], -both[1])
