@@ -10,7 +10,7 @@ import numpy as np
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.raster import depth_images
-from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.clusters import find_clusters
 from neuralgrasps.perception.frame import Frame
@@ -24,8 +24,10 @@ Hidden = Callable[[int], np.ndarray | None]
 _TRIED, _TRIED_HIDDEN = 3, 5  # frames that the object is looked for in: without a person, and with one
 _SURE, _LEAST = 0.9, 0.5  # confidence that ends the search; least that counts as found
 _CLUSTERS, _LEAST_PIXELS = 3, 50
-_AGREE_M, _GONE_M = 0.010, 0.020  # measured so near to the model, or so far behind it
-_GONE_SHARE, _LOST_SHARE = 0.25, 0.5  # of its pixels that are not hidden, so many show what is behind it
+_AGREE_M = 0.008  # measured so near to the model; farther behind it, the object is not there
+_GONE_SHARE, _LOST_SHARE = 0.08, 0.5  # more of its pixels than at first show what is behind: looked at; lost
+_MOVED_M = 0.004  # less is no motion
+_SUNK_M = 0.010  # nothing is so deep in the table
 _SEARCH_STRIDE = 2  # pixels
 
 
@@ -135,23 +137,23 @@ def _follow(
     poses, seen = np.full((len(frames), 4, 4), np.nan), np.zeros(len(frames))
     X_WC = _camera_poses(frames)
     X_WO = X_WC[start] @ pose.X_CO
+    usual, _ = _compare(frames[start], obj, pose.X_CO)
     moves_from: int | None = None
     lost_from: int | None = None
     for k, frame in enumerate(frames):
-        X_CO = inverse_np(X_WC[k]) @ X_WO
-        gone, seen[k] = _compare(frame, obj, X_CO)
-        if k > start and gone > _GONE_SHARE:
+        poses[k] = inverse_np(X_WC[k]) @ X_WO
+        gone, seen[k] = _compare(frame, obj, poses[k])
+        if k <= start or gone <= usual + _GONE_SHARE:
+            continue
+        table_C = table.plane.moved(inverse_np(X_WC[k]) @ X_WC[start])
+        tracked = _tracked(frame, obj, poses[k], table_C, seed)
+        left, agrees = (1.0, 0.0) if tracked is None else _compare(frame, obj, tracked)
+        if tracked is not None and left < gone and _shift(obj, tracked, poses[k]) > _MOVED_M:
             moves_from = k if moves_from is None else moves_from
-            tracked = _tracked(frame, obj, X_CO, seed)
-            if tracked is None:
-                lost_from = k
-                break
-            X_CO, X_WO = tracked, X_WC[k] @ tracked
-            gone, seen[k] = _compare(frame, obj, X_CO)
-            if gone > _LOST_SHARE:
-                lost_from = k
-                break
-        poses[k] = X_CO
+            poses[k], X_WO, gone, seen[k] = tracked, X_WC[k] @ tracked, left, agrees
+        if gone > _LOST_SHARE:
+            lost_from, poses[k] = k, np.nan
+            break
     return FollowedObject(
         X_CO=poses, seen=seen, found_in=start, pose=pose, table=table, moves_from=moves_from, lost_from=lost_from,
         reason="",
@@ -163,11 +165,21 @@ def _camera_poses(frames: Sequence[Frame]) -> list[np.ndarray]:
     return known if len(known) == len(frames) else [np.eye(4)] * len(frames)
 
 
-def _tracked(view: Frame, obj: ObjectModel, X_CO: np.ndarray, seed: int) -> np.ndarray | None:
+def _tracked(view: Frame, obj: ObjectModel, X_CO: np.ndarray, table_C: Plane, seed: int) -> np.ndarray | None:
+    """The pose in the next frame; None when too few pixels lie near the last, or it would be in the table."""
     try:
-        return track_pose(obj, view.depth, view.intrinsics, X_CO, seed=seed).X_CO
-    except InputError:  # too few pixels near it
+        found = track_pose(obj, view.depth, view.intrinsics, X_CO, seed=seed).X_CO
+    except InputError:
         return None
+    lowest = table_C.height(transform_points_np(found, obj.mesh.vertices)).min()
+    return found if lowest > -_SUNK_M else None
+
+
+def _shift(obj: ObjectModel, X_a: np.ndarray, X_b: np.ndarray) -> float:
+    """Farthest that a corner of the object's box is moved from one pose to another, metres."""
+    low, high = obj.mesh.bounds
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+    return float(np.linalg.norm(transform_points_np(X_a, corners) - transform_points_np(X_b, corners), axis=1).max())
 
 
 def _compare(view: Frame, obj: ObjectModel, X_CO: np.ndarray) -> tuple[float, float]:
@@ -181,7 +193,7 @@ def _compare(view: Frame, obj: ObjectModel, X_CO: np.ndarray) -> tuple[float, fl
     behind = depth[covered] - model[covered]
     measured = depth[covered] > 0
     agree = float((measured & (np.abs(behind) < _AGREE_M)).sum())
-    through = float((measured & (behind > _GONE_M)).sum())
+    through = float((measured & (behind > _AGREE_M)).sum())
     return through / max(agree + through, 1.0), agree / covered.sum()
 
 
