@@ -11,6 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from neuralgrasps.report.demonstration_content import DemonstrationFigure
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyFigure:
@@ -355,6 +357,7 @@ class DemoReport:
     created: str = ""
     key_figures: tuple[KeyFigure, ...] = ()
     hands: tuple[HandFigure, ...] = ()
+    demonstration: DemonstrationFigure | None = None
     feasibility: FeasibilityFigure | None = None
     sheets: tuple[ContactSheet, ...] = ()
     grasps: tuple[GraspFigure, ...] = ()

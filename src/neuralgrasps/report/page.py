@@ -10,6 +10,7 @@ from pathlib import Path
 from neuralgrasps.errors import InputError
 from neuralgrasps.files import write_whole
 from neuralgrasps.report.content import DemoReport, KeyFigure, Listing
+from neuralgrasps.report.demonstration_sections import demonstration_sections
 from neuralgrasps.report.execution_page import executions_section
 from neuralgrasps.report.latent_section import latent_section
 from neuralgrasps.report.palette import contact_gradient
@@ -36,6 +37,7 @@ from neuralgrasps.report.table_sections import (
 
 MAX_BYTES = 8_000_000
 _QUALITIES = (90, 80, 65, 45)
+_STYLES = ("page.css", "latent.css", "demonstration.css")
 
 # What each section shows and means; `DemoReport.section_texts` can put other words in their place.
 _TEXTS = {
@@ -133,7 +135,7 @@ def _page(report: DemoReport, pictures: PictureEncoder) -> str:
 
 def _page_css() -> str:
     """The style sheet, with the contact colour scale that the pictures use."""
-    return f":root {{ --contact-scale: {contact_gradient()}; }}\n" + _asset("page.css") + _asset("latent.css")
+    return f":root {{ --contact-scale: {contact_gradient()}; }}\n" + "".join(map(_asset, _STYLES))
 
 
 def _asset(name: str) -> str:
@@ -166,7 +168,8 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         ),
         ("frames", "Frames", bool(report.frames), lambda: frames_section(report.frames, pictures)),
     ]
-    sections = [(name, title, build()) for name, title, shown, build in builders if shown]
+    sections = [] if report.demonstration is None else demonstration_sections(report.demonstration, pictures)
+    sections += [(name, title, build()) for name, title, shown, build in builders if shown]
     numbers = _numbers(report)
     if numbers:
         sections.append(("numbers", "Measured quality", numbers))
@@ -207,7 +210,7 @@ def _listing(listing: Listing) -> str:
 
 
 def _section(report: DemoReport, name: str, title: str, content: str) -> str:
-    text = report.section_texts.get(name, _TEXTS[name])
+    text = report.section_texts.get(name, _TEXTS.get(name, ""))
     paragraph = f"<p>{escape(text)}</p>" if text else ""
     return f'<section id="{name}"><h2>{escape(title)}</h2>{paragraph}{content}</section>'
 

@@ -130,7 +130,7 @@ def _grasp_card(grasp: GraspFigure, pictures: PictureEncoder) -> str:
     ]
     facts = [(label, value) for label, value in facts if value != "–"]
     words = ", ".join([f"{grasp.hand} on {pretty_name(grasp.object)}", *(f"{k} {v}" for k, v in facts)])
-    caption = f"{_hand_title(grasp.hand, _verdict(grasp.success))}{facts_html(facts)}{_note(grasp.note)}"
+    caption = f"{_hand_title(grasp.hand, held_chip(grasp.success))}{facts_html(facts)}{_note(grasp.note)}"
     return f"<figure>{pictures.button(grasp.image, words)}<figcaption>{caption}</figcaption></figure>"
 
 
@@ -149,7 +149,8 @@ def _neighbour_card(item: Neighbour, css: str, tag: str, name: str, pictures: Pi
     return f'<figure class="{css}">{label}{pictures.button(item.image, words)}{caption}</figure>'
 
 
-def _verdict(success: bool | None) -> str:
+def held_chip(success: bool | None) -> str:
+    """Whether a grasp held in its physics trial."""
     if success is None:
         return '<span class="chip">not tried</span>'
     return '<span class="chip good">✓ held</span>' if success else '<span class="chip bad">✗ lost</span>'
