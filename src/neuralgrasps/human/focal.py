@@ -1,0 +1,97 @@
+"""Whether the camera's focal length fits the hand and the object that it shows, and which one would."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.human.hand_fit import fit_hand, fit_size
+from neuralgrasps.human.seen import SeenJoints, Side
+from neuralgrasps.human.skeleton import LARGEST, SMALLEST
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.track import track_pose
+
+FACTORS = (0.55, 0.65, 0.75, 0.87, 1.0, 1.15, 1.33, 1.55, 1.8)
+"""Focal lengths tried, times the given one."""
+
+_CLEAR = 0.8  # another focal length must lower the residual to this share of the given one's
+_EDGE = 0.01  # a size so near to the smallest or largest has run out of the range
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FocalCheck:
+    """How well a focal length fits.
+
+    Attributes:
+        factor: the best focal length over the given one, 1 where no other is clearly better.
+        residual_m: of the given one; best_m: of the best.
+    """
+
+    factor: float
+    residual_m: float
+    best_m: float
+
+
+def out_of_sizes(scale: float) -> bool:
+    """Whether a fitted size lies at the edge of what people's hands are."""
+    return not SMALLEST * (1.0 + _EDGE) < scale < LARGEST * (1.0 - _EDGE)
+
+
+def stretched(points_C: np.ndarray, factor: float) -> np.ndarray:
+    """Points (..., 3) of a depth image as they are when its focal lengths are `factor` times as long.
+
+    Pixels and depths stay, so that x and y shrink.
+    """
+    return points_C * np.array([1.0 / factor, 1.0 / factor, 1.0])
+
+
+def hand_focal(seen: Sequence[SeenJoints], clouds: Sequence[np.ndarray], *, side: Side) -> FocalCheck:
+    """The focal length at which a hand of a person's size fits joints and points (M, 3) of several frames best."""
+    cost = {}
+    for factor in FACTORS:
+        moved = [replace(s, points_C=stretched(s.points_C, factor)) for s in seen]
+        points = [stretched(cloud, factor) for cloud in clouds]
+        scale = fit_size(moved, points, side=side)
+        fits = [fit_hand(s, c, side=side, scale=scale) for s, c in zip(moved, points, strict=True)]
+        misfit = [np.hypot(np.nan_to_num(f.cloud_rms_m), np.nan_to_num(f.joint_rms_m)) for f in fits]
+        cost[factor] = float(np.median(misfit)) * (1.15 if out_of_sizes(scale) else 1.0)
+    return _check(cost)
+
+
+def object_focal(frame: Frame, obj: ObjectModel, X_CO: np.ndarray) -> FocalCheck | None:
+    """The focal length at which an object of known size fits its points best, near a pose X_CO (4, 4) seen with the
+    given one; None where it cannot be told."""
+    cost, k = {}, frame.intrinsics
+    for factor in FACTORS:
+        start = X_CO.copy()
+        start[:3, 3] = stretched(start[:3, 3], factor)
+        camera = replace(k, fx=k.fx * factor, fy=k.fy * factor)
+        try:
+            found = track_pose(obj, frame.depth, camera, start)
+        except InputError:  # too few points near it
+            continue
+        cost[factor] = found.residual_m / max(found.explained, 0.05)
+    return _check(cost) if 1.0 in cost else None
+
+
+def _check(cost: dict[float, float]) -> FocalCheck:
+    factor = min(cost, key=lambda f: cost[f])
+    if cost[factor] > _CLEAR * cost[1.0]:
+        return FocalCheck(factor=1.0, residual_m=cost[1.0], best_m=cost[1.0])
+    return FocalCheck(factor=_refined(cost, factor), residual_m=cost[1.0], best_m=cost[factor])
+
+
+def _refined(cost: dict[float, float], best: float) -> float:
+    """The lowest point of the parabola through the best factor and its neighbours, over the logarithm."""
+    place = FACTORS.index(best)
+    near = [f for f in FACTORS[max(place - 1, 0) : place + 2] if f in cost]
+    if len(near) < 3:
+        return best
+    a, b, _ = np.polyfit(np.log(near), [cost[f] for f in near], 2)
+    if a <= 0:
+        return best
+    return float(np.exp(np.clip(-b / (2 * a), np.log(near[0]), np.log(near[-1]))))
