@@ -153,7 +153,7 @@ def _group_is_nearer(values, origin, inv_spacing, packed, clusters, closing, gro
 
 
 @njit(cache=True, error_model="numpy")
-def _relax_idle(  # type: ignore[no-untyped-def]
+def relax_idle(  # type: ignore[no-untyped-def]
     values, origin, inv_spacing, packed, clusters, closing, q_open, threshold, max_self_depth, X_OH, q, X_HL, idle
 ):
     """Half curl the fingers that touch nothing, where there is room; marks their joints in `idle` (J,)."""
@@ -195,7 +195,7 @@ def _settle(  # type: ignore[no-untyped-def]
             values, origin, inv_spacing, fine, probe, closing, is_jaw, approach_H, tolerance, X_OH[i], q[i], X_HL, depth
         )
         if not is_jaw:
-            _relax_idle(
+            relax_idle(
                 values, origin, inv_spacing, packed, clusters, closing, q_open, threshold, max_self_depth,
                 X_OH[i], q[i], X_HL, idle[i],
             )  # fmt: skip

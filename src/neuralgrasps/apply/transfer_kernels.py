@@ -1,0 +1,148 @@
+"""Compiled steps of the search for a contact map: open, draw back, close, compare, and only then judge.
+
+A start whose closed hand is no nearer to the asked contact map than what is known already is dropped before its force
+closure is looked at. Nothing here draws random numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from neuralgrasps.compiled import njit
+from neuralgrasps.hands.packed import hand_distance_many, pose_links
+from neuralgrasps.synthesis.assess import (
+    COLLIDES,
+    FEW_CONTACTS,
+    NO_FORCE_CLOSURE,
+    check_overlap,
+    close_hand,
+    grasp_epsilon,
+    new_scratch,
+    touch,
+)
+from neuralgrasps.synthesis.clusters import hand_clearance_using
+from neuralgrasps.synthesis.settle import relax_idle
+
+FAR = 7  # outcome besides those of `assess`: the contact map is no nearer than the limit
+_OPENINGS = (0.0, 1.0, 2.0, 4.0, 8.0)  # steps that a hand which overlaps the object is opened by
+_BACKS = 6
+_MOST_BACK_M = 0.03
+_GAP_M = 5.0e-4
+
+
+class Target(NamedTuple):
+    """The contact map that is asked for: points (M, 3), closeness and weight (M,), weights of mean 1; 1 / radius."""
+
+    points: np.ndarray
+    closeness: np.ndarray
+    weight: np.ndarray
+    inv_radius: float
+
+
+class Hands(NamedTuple):
+    """How a hand opens and rests: step (J,) one step of opening, approach_H (3,), q_open (J,)."""
+
+    step: np.ndarray
+    approach_H: np.ndarray
+    q_open: np.ndarray
+
+
+@njit(cache=True, error_model="numpy")
+def map_difference(packed, target, X_OH, q, distance):  # type: ignore[no-untyped-def]
+    """Weighted mean |difference| of a posed hand's contact map and the target; `distance` (M,) is overwritten."""
+    hand_distance_many(packed, X_OH, q, target.points, distance)
+    total = 0.0
+    for i in range(distance.shape[0]):
+        closeness = math.exp(-max(distance[i], 0.0) * target.inv_radius)
+        total += target.weight[i] * abs(closeness - target.closeness[i])
+    return total / distance.shape[0]
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def map_differences(packed, target, X_OH, q):  # type: ignore[no-untyped-def]
+    """`map_difference` (N,) of hands X_OH (N, 4, 4), q (N, J)."""
+    out, distance = np.empty(q.shape[0]), np.empty(target.points.shape[0])
+    for i in range(q.shape[0]):
+        out[i] = map_difference(packed, target, X_OH[i], q[i], distance)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _clearance(pair, X_OH, X_HL, scratch):  # type: ignore[no-untyped-def]
+    return hand_clearance_using(
+        pair.values, pair.origin, pair.inv_spacing, pair.packed, pair.clusters, X_OH, X_HL,
+        scratch.close.pose, scratch.close.at_centre,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _make_room(pair, hands, X_OH, q, X_HL, scratch):  # type: ignore[no-untyped-def]
+    """Open the hand, and then draw it back, until it does not overlap the object; False where that is not enough."""
+    joints = q.shape[0]
+    start = q.copy()
+    clearance = 0.0
+    for steps in _OPENINGS:
+        for j in range(joints):
+            q[j] = min(max(start[j] - steps * hands.step[j], pair.packed.lower[j]), pair.packed.upper[j])
+        pose_links(pair.packed, q, X_HL)
+        clearance = _clearance(pair, X_OH, X_HL, scratch)
+        if clearance >= 0.0:
+            return True
+    gone = 0.0
+    for _ in range(_BACKS):
+        back = -clearance + _GAP_M
+        gone += back
+        if gone > _MOST_BACK_M:
+            return False
+        for k in range(3):
+            for m in range(3):
+                X_OH[k, 3] -= back * X_OH[k, m] * hands.approach_H[m]
+        clearance = _clearance(pair, X_OH, X_HL, scratch)
+        if clearance >= 0.0:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def search_starts(pair, target, hands, limit, X_OH, q, difference, quality, outcome):  # type: ignore[no-untyped-def]
+    """Close N hands from their starts, compare their contact maps, and judge those that come nearer than `limit`.
+
+    `X_OH` (N, 4, 4) and `q` (N, J) become the closed hands'. `difference` (N,): of the contact maps, inf for hands that
+    could not close; `quality` (N,): epsilon, 0 unless the outcome is VALID; `outcome` (N,): of `assess`, or FAR.
+    """
+    scratch = new_scratch(pair)
+    distance, q_start, idle = np.empty(target.points.shape[0]), np.empty(q.shape[1]), np.empty(q.shape[1], np.bool_)
+    points, normals, links, wrenches = scratch.found
+    X_HL = scratch.X_HL
+    for i in range(q.shape[0]):
+        difference[i], quality[i], outcome[i] = np.inf, 0.0, COLLIDES
+        if not _make_room(pair, hands, X_OH[i], q[i], X_HL, scratch):
+            continue
+        q_start[:] = q[i]
+        if not close_hand(pair, X_OH[i], q[i], X_HL, scratch.close):
+            continue
+        count = touch(pair, X_OH[i], X_HL, scratch.contact, points, normals, links)
+        if count == 0:
+            outcome[i] = FEW_CONTACTS
+            continue
+        if not pair.is_jaw:
+            idle[:] = False
+            relax_idle(
+                pair.values, pair.origin, pair.inv_spacing, pair.packed, pair.clusters, pair.closing, hands.q_open,
+                pair.threshold, pair.max_penetration, X_OH[i], q[i], X_HL, idle,
+            )  # fmt: skip
+        difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], distance)
+        if difference[i] >= limit:
+            outcome[i] = FAR
+            continue
+        epsilon = grasp_epsilon(pair, points, normals, count, wrenches, scratch.quality)
+        if epsilon <= 0.0:
+            outcome[i] = NO_FORCE_CLOSURE
+            continue
+        outcome[i], _ = check_overlap(
+            pair, X_OH[i], q_start, q[i], X_HL, count, links, scratch.busy, scratch.close, scratch.poses
+        )
+        quality[i] = epsilon
