@@ -1,0 +1,205 @@
+"""From RGB-D frames of a person who grasps an object to a robot hand's grasps of it, best first.
+
+Stages: the object is found before the hand hides it, and followed; the hand is found, its joints are read, and the hand
+model is fitted to them and to the depth; at the moment of the grasp it is a grasp in the object's frame like any other,
+and is transferred. Each stage can be replaced; each says why it failed.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult, transfer
+from neuralgrasps.apply.transfer_query import TransferQuery, query_from_grasp
+from neuralgrasps.errors import InputError
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.grasps.grasp_set import GraspSet
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
+from neuralgrasps.human.sighting import HandFinder, JointSource, joints_box
+from neuralgrasps.human.watch import HandTrack, WatchConfig, watch_hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.object_video import FollowedObject, Hidden, follow_object, table_in_object
+from neuralgrasps.planning.resting_plane import nearest_resting_plane
+from neuralgrasps.synthesis.support import Support
+
+_GLANCES = 24  # frames looked at for a hand before the object is looked for
+_BOX_ROOM = 0.25  # of a hand's box is left out around it too
+_TABLE_CLEARANCE_M, _RETREAT_M = 0.004, 0.10
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DemonstrateConfig:
+    """How a demonstration is read.
+
+    Attributes:
+        watch: how the hand is watched. transfer: how grasps are transferred.
+        on_table: grasps must clear the table that the object stands on.
+    """
+
+    watch: WatchConfig = field(default_factory=WatchConfig)
+    transfer: TransferConfig = field(default_factory=lambda: TransferConfig(count=40, trials=40))
+    on_table: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Demonstration:
+    """What came of a demonstration.
+
+    Attributes:
+        object, hand: names. seed: as run.
+        stage: the stage that failed: "object", "detect", "joints", "size", "grasp" (see `HandTrack`) or "transfer"; ""
+            when none did. reason: why, in words.
+        followed: the object over the frames. track: the hand over the frames; None when it was not looked for.
+        human: the person's hand: model, of its size and side. X_OH (4, 4), q (20,): its grasp. None before that.
+        table_O: the table in the object's frame, normal up.
+        query: the grasp as asked for; transfer: the robot's grasps.
+        seconds: wall time of each stage.
+    """
+
+    object: str
+    hand: str
+    seed: int
+    stage: str
+    reason: str
+    followed: FollowedObject | None = None
+    track: HandTrack | None = None
+    human: Hand | None = None
+    X_OH: np.ndarray | None = None
+    q: np.ndarray | None = None
+    table_O: Plane | None = None
+    query: TransferQuery | None = None
+    transfer: TransferResult | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def grasps(self) -> GraspSet | None:
+        """The robot's grasps, best first."""
+        return None if self.transfer is None else self.transfer.grasps
+
+
+class _Clock:
+    """Wall time by stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def __call__(self, stage: str) -> None:
+        now = time.perf_counter()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now
+
+
+def demonstrate(
+    frames: Sequence[Frame],
+    obj: ObjectModel,
+    hand: Hand,
+    *,
+    detector: HandFinder | None = None,
+    reader: JointSource | None = None,
+    joints: Sequence[SeenJoints | None] | None = None,
+    side: Side | None = None,
+    known: GraspSet | None = None,
+    constraints: Constraint | None = None,
+    config: DemonstrateConfig | None = None,
+    seed: int = 0,
+) -> Demonstration:
+    """Watch a person grasp an object, and find grasps of `hand` that touch it alike.
+
+    Args:
+        frames: of one camera at rest, or with camera poses; in order of time. One frame will do.
+        hand: the robot's.
+        detector, reader: of hands and joints; None: those that come with the library.
+        side: of the person's hand; None: decided from the frames.
+        joints: (T,) joints from elsewhere in place of detector and reader; None in frames without.
+        known: proven grasps of `obj` by `hand`; None: made on the spot, and kept.
+        constraints: what further rules grasps out, see `transfer`.
+        seed: of all searches.
+    Raises:
+        InputError: no frames. What cannot be seen is no error: the result says at which stage it failed, and why.
+    """
+    config = config or DemonstrateConfig()
+    if not frames:
+        raise InputError("there are no frames to watch; expected at least one.")
+    if joints is None and detector is None:
+        detector, reader = load_hand_eyes(reader)
+    clock = _Clock()
+    so_far = Demonstration(object=obj.name, hand=hand.name, seed=seed, stage="", reason="", seconds=clock.seconds)
+    followed = follow_object(frames, obj, hidden=_hidden(frames, detector, joints), seed=seed)
+    clock("object")
+    so_far = replace(so_far, followed=followed, table_O=table_in_object(followed))
+    if followed.reason:
+        return replace(so_far, stage="object", reason=followed.reason)
+    track = watch_hand(
+        frames, detector=detector, reader=reader, joints=joints, obj=obj, X_CO=followed.X_CO, side=side,
+        table=None if followed.table is None else followed.table.plane, config=config.watch,
+    )  # fmt: skip
+    clock("hand")
+    if track.grasp is None:
+        return replace(so_far, track=track, stage=track.stage, reason=track.reason)
+    human, X_OH = grasp_in_object(track.grasp, followed.X_CO[track.moment])
+    query = query_from_grasp(human, obj, X_OH, track.grasp.q)
+    found = transfer(
+        query, hand, obj, known=known, config=config.transfer, constraints=constraints, seed=seed,
+        support=demonstration_support(obj, so_far.table_O) if config.on_table else None,
+    )  # fmt: skip
+    clock("transfer")
+    so_far = replace(so_far, track=track, human=human, X_OH=X_OH, q=track.grasp.q, query=query, transfer=found)
+    return so_far if len(found.grasps) else replace(so_far, stage="transfer", reason=found.reason)
+
+
+def load_hand_eyes(reader: JointSource | None = None) -> tuple[HandFinder, JointSource]:
+    """The detector and the joint net that come with the library; `reader` in place of the latter."""
+    from neuralgrasps.human.detect import HandDetector  # noqa: PLC0415 - imports torch
+    from neuralgrasps.human.joint_reader import JointReader  # noqa: PLC0415
+
+    return HandDetector.load(), reader or JointReader.load()
+
+
+def grasp_in_object(fitted: FittedHand, X_CO: np.ndarray) -> tuple[Hand, np.ndarray]:
+    """The person's hand model, and X_OH (4, 4) of its base."""
+    return fitted.hand, np.asarray(inverse_np(X_CO) @ fitted.X_CH)
+
+
+def _hidden(frames: Sequence[Frame], detector: HandFinder | None, joints: Sequence[SeenJoints | None] | None) -> Hidden:
+    """Pixels that may show the person, by frame: those in a hand's box there, or in the nearest frame looked at."""
+    numbers = sorted({int(n) for n in np.linspace(0, len(frames) - 1, _GLANCES).round()})
+    boxes: dict[int, list[HandBox]] = {}
+    for n in numbers:
+        if joints is not None:
+            seen = joints[n]
+            box = None if seen is None else joints_box(seen, frames[n].intrinsics)
+            boxes[n] = [] if box is None else [box]
+        elif detector is not None:
+            boxes[n] = list(detector.find(frames[n]))
+
+    def hidden(frame: int) -> np.ndarray | None:
+        near = min(numbers, key=lambda n: (abs(n - frame), n))
+        return box_mask(boxes[near], frames[frame].depth.shape) if boxes[near] else None
+
+    return hidden
+
+
+def box_mask(boxes: Sequence[HandBox], shape: tuple[int, ...]) -> np.ndarray:
+    """(h, w) bool: boxes of hands, with a quarter of their size around."""
+    mask = np.zeros(shape, bool)
+    for box in boxes:
+        du, dv = _BOX_ROOM * (box.u_max - box.u_min), _BOX_ROOM * (box.v_max - box.v_min)
+        rows = slice(max(int(box.v_min - dv), 0), max(int(np.ceil(box.v_max + dv)), 0))
+        mask[rows, max(int(box.u_min - du), 0) : max(int(np.ceil(box.u_max + du)), 0)] = True
+    return mask
+
+
+def demonstration_support(obj: ObjectModel, table_O: Plane | None) -> Support | None:
+    """The table that grasps must clear: of the nearest resting pose where there is one, else as it was seen."""
+    if table_O is None:
+        return None
+    plane = nearest_resting_plane(obj, table_O) or table_O
+    return Support(plane=plane, clearance_m=_TABLE_CLEARANCE_M, retreat_m=_RETREAT_M)
