@@ -94,15 +94,27 @@ def render_depth_view(
     """Look at K meshes posed at `X_WM` (K, 4, 4) from `X_WC`; without `noise` the depth is exact."""
     image = rasterise(list(meshes), np.linalg.inv(X_WC) @ X_WM, intrinsics)
     depth = np.where(np.isfinite(image.depth), image.depth, 0.0).astype(np.float64)
-    lit = np.ones(depth.shape, bool)
-    if noise is not None:
-        if noise.baseline_m:
-            lit = _lit(depth, intrinsics, noise.baseline_m)
-        depth = _sense(depth, lit, intrinsics, noise, seed)
+    depth, lit = sense_depth(depth, intrinsics, noise, seed)
     return DepthView(
         depth=depth.astype(np.float32), mesh_index=image.mesh_index, lit=lit, intrinsics=intrinsics,
         X_WC=np.asarray(X_WC),
     )  # fmt: skip
+
+
+def sense_depth(
+    depth: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise | None, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a camera with this noise reports for an exact depth image (h, w), metres, 0 = nothing; and what is lit.
+
+    Returns:
+        (h, w) depth, 0 where nothing is measured, and (h, w) bool, pixels that the projector or second eye sees too.
+    """
+    lit = np.ones(depth.shape, bool)
+    if noise is None:
+        return depth, lit
+    if noise.baseline_m:
+        lit = _lit(depth, intrinsics, noise.baseline_m)
+    return _sense(depth, lit, intrinsics, noise, seed), lit
 
 
 def _sense(depth: np.ndarray, lit: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, seed: int) -> np.ndarray:
