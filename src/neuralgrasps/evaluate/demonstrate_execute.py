@@ -34,7 +34,7 @@ def demonstrated_scene(
     followed, table_O = demonstration.followed, demonstration.table_O
     if followed is None or followed.pose is None or table_O is None:
         raise InputError(
-            f"the demonstration has no pose of '{obj.name}' on a table; nothing can be put before a robot."
+            f"the demonstration has no pose of '{obj.name}' on a table: nothing to put before a robot."
         )
     plane = nearest_resting_plane(obj, table_O) or table_O
     X = np.eye(4)
@@ -68,7 +68,7 @@ def execute_demonstration(
         raise InputError(f"no grasp was transferred{why}; there is nothing to execute.")
     if grasps.hand != manipulator.hand.name:
         raise InputError(
-            f"the grasps are of hand '{grasps.hand}', but the robot has '{manipulator.hand.name}'; transfer to its hand."
+            f"the grasps are of hand '{grasps.hand}', but the robot has '{manipulator.hand.name}'; transfer to that one."
         )
     scene = demonstrated_scene(demonstration, obj, manipulator.arm, at=at, seed=seed)
     config = replace(config or ExecuteConfig(), planner=ordered_planner(grasps))
