@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from neuralgrasps.report.demonstration_content import DemonstrationFigure
+from neuralgrasps.report.transfer_content import TransferList
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -358,6 +359,7 @@ class DemoReport:
     key_figures: tuple[KeyFigure, ...] = ()
     hands: tuple[HandFigure, ...] = ()
     demonstration: DemonstrationFigure | None = None
+    transferred: tuple[TransferList, ...] = ()
     feasibility: FeasibilityFigure | None = None
     sheets: tuple[ContactSheet, ...] = ()
     grasps: tuple[GraspFigure, ...] = ()

@@ -34,6 +34,7 @@ from neuralgrasps.report.table_sections import (
     table_html,
     times_section,
 )
+from neuralgrasps.report.transfer_sections import transfer_list_section
 
 MAX_BYTES = 8_000_000
 _QUALITIES = (90, 80, 65, 45)
@@ -47,6 +48,11 @@ _TEXTS = {
     "the object throughout the physics trial. ε is the largest disturbance the contacts resist in any "
     "direction; overlap is how deep hand and object cut into each other; slip is how far the object "
     "moved in the hand.",
+    "transferred": "On the left of each card the grasp, on the right how close the hand comes to every point of the "
+    "object, both from the side that shows most of the query's contacts. Similarity compares the contact maps over the "
+    "whole surface: 1 is the same, 0 the farthest of the known grasps. Held means that the hand kept the object "
+    "throughout the physics trial. ε is the largest disturbance the contacts resist in any direction; moved is how far "
+    "the object went in the hand.",
     "feasibility": "Each cell shows the first grasp of a pair, how many were found of those wanted, and the share of "
     "the grasps tried in physics that held, before any was dropped.",
     "sheets": "Each sheet shows the most diverse grasps of a pair, in farthest-point order, drawn as computed from "
@@ -146,6 +152,12 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
     """(anchor, title, HTML) of every section that has something to show."""
     hands = f"{len(report.hands)} hands" if len(report.hands) != 1 else "One hand"
     builders: list[tuple[str, str, bool, Callable[[], str]]] = [
+        (
+            "transferred",
+            "Query and grasps",
+            bool(report.transferred),
+            lambda: transfer_list_section(report.transferred, pictures),
+        ),
         (
             "feasibility",
             "Feasibility",
