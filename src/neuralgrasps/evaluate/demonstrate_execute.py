@@ -68,7 +68,7 @@ def execute_demonstration(
         raise InputError(f"no grasp was transferred{why}; there is nothing to execute.")
     if grasps.hand != manipulator.hand.name:
         raise InputError(
-            f"the grasps are of hand '{grasps.hand}', but the robot has '{manipulator.hand.name}'; transfer to that one."
+            f"the grasps are of hand '{grasps.hand}', the robot has '{manipulator.hand.name}'; transfer to that one."
         )
     scene = demonstrated_scene(demonstration, obj, manipulator.arm, at=at, seed=seed)
     config = replace(config or ExecuteConfig(), planner=ordered_planner(grasps))
