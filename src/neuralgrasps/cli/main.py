@@ -6,6 +6,7 @@ import contextlib
 import functools
 import inspect
 import os
+import re
 import shlex
 import signal
 import sys
@@ -155,7 +156,7 @@ def parse_and_call(verb: Verb, args: Sequence[str], terminal: Terminal) -> Outco
         _deferred(function, terminal),
         prog=" ".join(("neuralgrasps", *verb.words)),
         description=_description(function),
-        args=args,
+        args=[f" {a}" if re.fullmatch(r"-[xyz](:\S*)?", a) else a for a in args],  # an axis, no option
         config=(tyro.conf.FlagCreatePairsOff,),
     )
     outcome = call()

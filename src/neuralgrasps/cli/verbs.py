@@ -45,6 +45,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("evaluate",), "evaluate:evaluate", "measure a trained run, a dataset or grasps"),
     Verb(("retrieve",), "retrieve:retrieve", "grasps of any hand that hold an object alike"),
     Verb(("novel",), "novel:novel", "new grasps from codes near and between known ones, tried in physics"),
+    Verb(("transfer",), "transfer:transfer", "grasps of one hand that hold an object as another hand does"),
     Verb(("pose",), "pose:pose", "where an object is, from points or a depth image"),
     Verb(("execute",), "execute:execute", "look, plan, grasp and lift objects in simulation, with films"),
     Verb(("export",), "export:export", "grasps as MoveIt messages or isaac_grasp files"),

@@ -1,0 +1,78 @@
+"""The page of `transfer --report`: the query beside the grasps of the target hand, in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neuralgrasps.apply.transfer import TransferResult
+from neuralgrasps.cli.grasp_page import about_this_run, trial_table
+from neuralgrasps.cli.progress import ProgressBar
+from neuralgrasps.cli.terminal import counted
+from neuralgrasps.cli.transfer_query import Asked
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.report.content import DemoReport, KeyFigure
+from neuralgrasps.report.page import write_report
+from neuralgrasps.report.sections import pretty_name
+from neuralgrasps.report.transfer_page import transfer_list
+
+
+def write_transfer_page(
+    path: Path,
+    asked: Asked,
+    hand: Hand,
+    result: TransferResult,
+    record: Mapping[str, Any],
+    *,
+    command: str,
+    seed: int,
+    progress: ProgressBar,
+) -> Path:
+    """Write the page of one transfer; `record` is its JSON result."""
+    clearance = np.array([np.inf if r["clearance_mm"] is None else 1e-3 * r["clearance_mm"] for r in record["results"]])
+    shown = transfer_list(
+        result, asked.query, hand, asked.obj, title=asked.title, text=_query_text(asked), grasp=asked.grasp,
+        points_O=asked.points_O, clearance_m=clearance, progress=progress,
+    )  # fmt: skip
+    protocol = result.grasps.protocol
+    report = DemoReport(
+        title=f"{pretty_name(asked.obj.name).capitalize()}: to {pretty_name(hand.name)}",
+        subtitle=f"{counted(len(result.grasps), 'grasp')} of the {pretty_name(hand.name)} hand for {asked.title}, the "
+        f"most alike first, each held by the physics protocol '{protocol}'.",
+        **about_this_run(command, seed),
+        key_figures=_key_figures(result, record),
+        transferred=(shown,),
+        tables=(trial_table(protocol, result.grasps.verdicts[protocol].parameters),),
+        notes=tuple(_notes(record)),
+    )
+    return write_report(report, path)
+
+
+def _key_figures(result: TransferResult, record: Mapping[str, Any]) -> tuple[KeyFigure, ...]:
+    generated = sum(o == "generated" for o in result.origin)
+    known = (
+        f"best of {counted(record['known'], 'known grasp')}: {result.oracle:.3f}" if np.isfinite(result.oracle) else ""
+    )
+    return (
+        KeyFigure(value=f"{result.similarity[0]:.3f}", label="contact similarity of the first", note=known),
+        KeyFigure(value=str(len(result.grasps)), label="grasps held in physics", note=f"{record['tried']} tried anew"),
+        KeyFigure(value=str(generated), label="of these found by search", note="the others were known"),
+    )
+
+
+def _query_text(asked: Asked) -> str:
+    if asked.grasp is not None:
+        return f"On {pretty_name(asked.obj.name)}; its contact map is what the others are compared with."
+    return f"On {pretty_name(asked.obj.name)}; the closeness of its surface to these points is what is compared."
+
+
+def _notes(record: Mapping[str, Any]) -> list[str]:
+    notes = [f"Constraint: {name}." for name in record["constraints"]]
+    if record["reason"]:
+        notes.append(f"Fewer than wanted: {record['reason']}.")
+    if record["constraints_on_known"]:
+        notes.append(f"Known grasps: {record['constraints_on_known']}.")
+    return notes
