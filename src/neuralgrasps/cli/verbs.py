@@ -48,6 +48,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("transfer",), "transfer:transfer", "grasps of one hand that hold an object as another hand does"),
     Verb(("pose",), "pose:pose", "where an object is, from points or a depth image"),
     Verb(("execute",), "execute:execute", "look, plan, grasp and lift objects in simulation, with films"),
+    Verb(("human", "record"), "human_record:human_record", "synthetic RGB-D videos of a hand that grasps an object"),
     Verb(("export",), "export:export", "grasps as MoveIt messages or isaac_grasp files"),
     Verb(("bench",), "bench:bench", "run a benchmark and print its figures"),
 )

@@ -42,6 +42,10 @@ SIZES = (0.70, 0.74, 0.78, 0.82, 0.86, 0.90)
 GraspKind = Literal["any", "power", "precision"]
 
 
+class NoPersonGraspError(InputError):
+    """No hand of the sizes tried grasps the object in any resting pose."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemonstrationConfig:
     """What a recorded demonstration shows.
@@ -171,7 +175,8 @@ def record_demonstration(
         seed: of everything drawn: size, side, resting pose, grasp, path, camera, colours, noise. Grasps themselves do
             not depend on it, so that they are made once.
     Raises:
-        InputError: no hand of the size asked for, or of any, grasps the object in any resting pose; says why.
+        NoPersonGraspError: no hand of the size asked for, or of those drawn, grasps the object in any resting pose;
+            says why.
     """
     config = config or DemonstrationConfig()
     rng = child_rng(seed, "demonstration", obj.content_hash)
@@ -195,7 +200,7 @@ def _staged(obj: ObjectModel, config: DemonstrationConfig, rng: np.random.Genera
                 return act, tuple(notes)
             why = people.reason or "no grasp of that kind has a clear way to it"
             notes.append(f"hand of scale {scale:g}, resting pose {k}: {why}")
-    raise InputError(
+    raise NoPersonGraspError(
         f"no person's grasp of '{obj.name}' was found for a {side} hand: {'; '.join(notes)}. Choose another object, "
         "size, side or kind of grasp."
     )

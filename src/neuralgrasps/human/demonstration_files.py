@@ -26,7 +26,7 @@ _FAST = 1  # of the levels of PNG compression: 9 is a sixth smaller and takes te
 def write_demonstration(folder: Path, recorded: RecordedDemonstration) -> None:
     """Write depth/NNNNNN.png (16 bits), rgb/NNNNNN.png, pose/NNNNNN.txt, camera.json, truth.json, truth.safetensors.
 
-    The masks are packed bits in truth.safetensors. Frames of an earlier recording in the folder are removed.
+    The masks are packed bits in truth.safetensors; strip.png shows the film at a glance. Frames of an earlier recording in the folder are removed.
 
     Raises:
         StorageError: the folder cannot be written.
@@ -50,6 +50,7 @@ def write_demonstration(folder: Path, recorded: RecordedDemonstration) -> None:
     }  # fmt: skip
     arrays = {name: np.asarray(getattr(truth, name), np.float64) for name in _ARRAYS}
     arrays["hand_mask_bits"] = np.packbits(truth.hand_mask, axis=-1)
+    write_whole(folder / "strip.png", _png(film_strip(recorded)))
     write_whole(folder / "camera.json", json.dumps(camera, indent=1) + "\n")
     write_whole(folder / "truth.safetensors", tensor_bytes(arrays))
     write_whole(folder / "truth.json", json.dumps(notes, indent=1) + "\n")
@@ -88,6 +89,16 @@ def read_demonstration(folder: Path) -> RecordedDemonstration:
         seed=notes["seed"],
         truth=_truth(folder, notes),
     )
+
+
+def film_strip(recorded: RecordedDemonstration, *, count: int = 6, height: int = 180) -> np.ndarray:
+    """(height, w, 3) uint8 pictures side by side: frames from the first to the last, one of them the grasp."""
+    first, last = recorded.truth.grasp_frame, len(recorded) - 1
+    before = np.linspace(0, first, count - 1)
+    chosen = np.unique(np.rint([*before, last]).astype(int))
+    width = round(recorded.intrinsics.width * height / recorded.intrinsics.height)
+    pictures = [Image.fromarray(recorded.colour[t]).resize((width, height)) for t in chosen]
+    return np.concatenate([np.asarray(picture) for picture in pictures], axis=1)
 
 
 def _notes(folder: Path) -> dict[str, Any]:

@@ -1,0 +1,113 @@
+"""`neuralgrasps human record`: synthetic RGB-D videos of a person's hand that grasps an object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from neuralgrasps.cli.options import Folder, OptionalFloat, Unit, check_seed
+from neuralgrasps.cli.outputs import check_writable
+from neuralgrasps.cli.terminal import Outcome, Terminal, counted
+from neuralgrasps.errors import InputError
+
+if TYPE_CHECKING:
+    from neuralgrasps.human.demonstration import DemonstrationConfig, RecordedDemonstration
+    from neuralgrasps.objects.object_model import ObjectModel
+
+Either = Annotated[Literal["either", "right", "left"], tyro.conf.arg(metavar="SIDE")]
+
+
+def human_record(
+    terminal: Terminal,
+    /,
+    *,
+    object_name: Annotated[str, tyro.conf.arg(name="object", metavar="NAME|FILE")],
+    out: Folder,
+    count: int = 1,
+    seed: int = 0,
+    side: Either = "either",
+    scale: OptionalFloat = None,
+    kind: Literal["any", "power", "precision"] = "any",
+    clutter: int = 0,
+    noise: bool = True,
+    unit: Unit = "auto",
+) -> Outcome:
+    """Record synthetic demonstrations: a person's hand comes to an object on a table, grasps it and perhaps lifts it.
+
+    Every grasp held the object in a physics simulation. A folder holds depth, rgb and pose of each frame, camera.json,
+    truth.json and truth.safetensors (hand, joints, object, mask, what is visible) and strip.png to look at. The first
+    recording of an object takes some seconds longer, while its grasps are made. Exit code 1 when none was recorded.
+
+    Args:
+        object_name: name of an object, or a mesh file.
+        out: folder for the recording; of several, one folder each in it: 000, 001, ...
+        count: recordings wanted; each has the seed of the one before plus 1.
+        seed: the same seed gives the same recording.
+        side: of the hand.
+        scale: size of the hand, 0.66 to 0.92 (166 to 232 mm from wrist to middle fingertip); default drawn.
+        kind: of the grasp.
+        clutter: other things on the table.
+        noise: errors of a structured-light depth camera.
+        unit: length unit of a mesh file; auto takes over 3 units for mm.
+    """
+    from neuralgrasps.human.demonstration import DemonstrationConfig
+    from neuralgrasps.objects.zoo import load_object
+    from neuralgrasps.sim.camera import STRUCTURED_LIGHT
+
+    check_seed(seed)
+    if count < 1:
+        raise InputError(f"--count is {count}; expected at least 1.")
+    check_writable(out, folder=True)
+    config = DemonstrationConfig(
+        side=None if side == "either" else side, scale=scale, kind=kind, clutter=clutter,
+        noise=STRUCTURED_LIGHT if noise else None,
+    )  # fmt: skip
+    with terminal.progress("reading the object"):
+        obj = load_object(object_name, unit=unit)
+    rows, records, failures = [], [], []
+    with terminal.progress("recording", "videos") as bar:
+        for i in range(count):
+            folder = out if count == 1 else out / f"{i:03d}"
+            made = _recorded(obj, folder, seed + i, config)
+            if isinstance(made, str):
+                failures.append(made)
+            else:
+                rows.append(_row(folder, made))
+                records.append(_record(folder, made))
+            bar(i + 1, count)
+    if rows:
+        terminal.table(("folder", "seed", "hand", "scale", "grasp", "frames", "grasp at", "visible there"), rows)
+    terminal.notes(failures, title=f"{counted(len(failures), 'recording')} could not be made:")
+    return Outcome(result={"object": obj.name, "recordings": records, "failures": failures}, exit_code=not rows)
+
+
+def _recorded(obj: ObjectModel, folder: Path, seed: int, config: DemonstrationConfig) -> RecordedDemonstration | str:
+    """The recording, written; or why there is none."""
+    from neuralgrasps.human.demonstration import NoPersonGraspError, record_demonstration
+    from neuralgrasps.human.demonstration_files import write_demonstration
+
+    try:
+        recorded = record_demonstration(obj, seed=seed, config=config)
+    except NoPersonGraspError as error:
+        return str(error)
+    write_demonstration(folder, recorded)
+    return recorded
+
+
+def _row(folder: Path, recorded: RecordedDemonstration) -> tuple[Any, ...]:
+    truth = recorded.truth
+    visible = f"{100 * truth.visible[truth.grasp_frame]:.0f} %"
+    return (
+        str(folder), recorded.seed, truth.side, truth.scale, truth.kind, len(recorded), truth.grasp_frame, visible,
+    )  # fmt: skip
+
+
+def _record(folder: Path, recorded: RecordedDemonstration) -> dict[str, Any]:
+    truth = recorded.truth
+    return {
+        "folder": str(folder), "seed": recorded.seed, "side": truth.side, "scale": truth.scale, "kind": truth.kind,
+        "frames": len(recorded), "still": list(truth.still), "grasp_frame": truth.grasp_frame,
+        "visible_at_grasp": float(truth.visible[truth.grasp_frame]), "notes": list(truth.notes),
+    }  # fmt: skip
