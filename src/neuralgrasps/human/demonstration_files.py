@@ -26,7 +26,8 @@ _FAST = 1  # of the levels of PNG compression: 9 is a sixth smaller and takes te
 def write_demonstration(folder: Path, recorded: RecordedDemonstration) -> None:
     """Write depth/NNNNNN.png (16 bits), rgb/NNNNNN.png, pose/NNNNNN.txt, camera.json, truth.json, truth.safetensors.
 
-    The masks are packed bits in truth.safetensors; strip.png shows the film at a glance. Frames of an earlier recording in the folder are removed.
+    The masks are packed bits in truth.safetensors; strip.png shows the film at a glance. Frames of an earlier recording
+    in the folder are removed.
 
     Raises:
         StorageError: the folder cannot be written.
