@@ -205,6 +205,16 @@ class GraspConstraints:
             return np.full(len(X_OH), np.inf)
         return surface_distances(pack_shapes(hand), self.free_surface.inside_groups, X_OH, q)
 
+    def marked(self, points_O: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(M,) bool each: which surface points (M, 3) lie in `keep_free`, and which in `only_region`; for pictures."""
+        free, only = (
+            region_depths(points_O, self.obj, regions, up_O=self._side_axis) <= 0
+            if regions
+            else np.zeros(len(points_O), np.bool_)
+            for regions in (self.keep_free, self.only_region)
+        )
+        return free, only & ~free
+
     @property
     def _side_axis(self) -> np.ndarray:
         """What the sides top and bottom are measured along: the axis nearest to up, as users name it."""

@@ -56,8 +56,8 @@ def transfer(
     """Carry a grasp over to another hand: executable grasps that touch the object alike, the most alike first.
 
     The query is a grasp of any hand (--query), points all over a hand that was seen (--query-cloud), or a few contacts
-    (--contacts). Known grasps of the target hand are ranked, new ones searched around the best, each tried in physics. A
-    REGION is a side of the object (+x -x +y -y +z -z top bottom side), with its share of the extent if not the outer
+    (--contacts). Known grasps of the target hand are ranked, new ones searched around the best, each tried in physics.
+    A REGION is a side of the object (+x -x +y -y +z -z top bottom side), with its share of the extent if not the outer
     third (top:0.25), box:x0,y0,z0,x1,y1,z1 or sphere:x,y,z,r (metres, object frame), or file:points.ply.
     Exit code 1 when no grasp is left.
 
@@ -223,7 +223,10 @@ def _write(
     from neuralgrasps.cli.transfer_page import write_transfer_page
 
     with terminal.progress("drawing", "pictures") as bar:
-        write_transfer_page(report, asked, hand, result, record, command=terminal.command, seed=seed, progress=bar)
+        write_transfer_page(
+            report, asked, hand, result, record, constraints=constraints, command=terminal.command, seed=seed,
+            progress=bar,
+        )  # fmt: skip
     record["report"] = str(report)
 
 

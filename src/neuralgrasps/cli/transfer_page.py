@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from neuralgrasps.apply.constraints import GraspConstraints
 from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.cli.grasp_page import about_this_run, trial_table
 from neuralgrasps.cli.progress import ProgressBar
@@ -27,19 +28,20 @@ def write_transfer_page(
     result: TransferResult,
     record: Mapping[str, Any],
     *,
+    constraints: GraspConstraints,
     command: str,
     seed: int,
     progress: ProgressBar,
 ) -> Path:
     """Write the page of one transfer; `record` is its JSON result."""
-    clearance = np.array([np.inf if r["clearance_mm"] is None else 1e-3 * r["clearance_mm"] for r in record["results"]])
     shown = transfer_list(
-        result, asked.query, hand, asked.obj, title=asked.title, text=_query_text(asked), grasp=asked.grasp,
-        points_O=asked.points_O, clearance_m=clearance, progress=progress,
+        result, asked.query, hand, asked.obj, title=asked.title, text=_query_text(asked, constraints),
+        grasp=asked.grasp, points_O=asked.points_O, constraints=constraints, progress=progress,
     )  # fmt: skip
+    source = pretty_name(asked.grasp[0].name) if asked.grasp else asked.query.source
     protocol = result.grasps.protocol
     report = DemoReport(
-        title=f"{pretty_name(asked.obj.name).capitalize()}: to {pretty_name(hand.name)}",
+        title=f"{pretty_name(asked.obj.name).capitalize()}, from {source} to {pretty_name(hand.name)}",
         subtitle=f"{counted(len(result.grasps), 'grasp')} of the {pretty_name(hand.name)} hand for {asked.title}, the "
         f"most alike first, each held by the physics protocol '{protocol}'.",
         **about_this_run(command, seed),
@@ -63,10 +65,14 @@ def _key_figures(result: TransferResult, record: Mapping[str, Any]) -> tuple[Key
     )
 
 
-def _query_text(asked: Asked) -> str:
-    if asked.grasp is not None:
-        return f"On {pretty_name(asked.obj.name)}; its contact map is what the others are compared with."
-    return f"On {pretty_name(asked.obj.name)}; the closeness of its surface to these points is what is compared."
+def _query_text(asked: Asked, constraints: GraspConstraints) -> str:
+    what = "its contact map" if asked.grasp is not None else "the closeness of its surface to these points"
+    text = f"On {pretty_name(asked.obj.name)}; {what} is what the grasps are compared with."
+    if not constraints:
+        return text
+    marked = (("kept free: red", constraints.keep_free), ("to be touched only: green", constraints.only_region))
+    colours = ", ".join(words for words, regions in marked if regions)
+    return f"{text} Asked besides: {constraints}{f' ({colours})' if colours else ''}."
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:

@@ -2,66 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from neuralgrasps.apply.constraints import GraspConstraints
 from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.primitives import sphere_mesh
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.grasps.contact_map import contact_map_packed
+from neuralgrasps.grasps.kind import finger_of_link
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import pack_shapes
+from neuralgrasps.hands.parts import part_distances
 from neuralgrasps.hands.surface import hand_part_meshes
+from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.report.contact_views import contact_direction
-from neuralgrasps.report.figures import SIZE, object_surface, render_contact_map, render_grasp
-from neuralgrasps.report.palette import linear_rgb
+from neuralgrasps.report.figures import SIZE, fine_mesh, object_surface, posed_hand_surfaces, render_contact_map
+from neuralgrasps.report.palette import linear_rgb, mix
 from neuralgrasps.report.shading import Style, Surface, shade
 from neuralgrasps.report.transfer_content import TransferList, TransferredGrasp
 from neuralgrasps.report.views import frame_camera
 
 SHOWN = 12
 TOUCHED = 0.6  # closeness from which a point of the object counts as touched, for the choice of the view
+FREE_COLOUR, ONLY_COLOUR = "#c2412f", "#2f8f5b"
 _POINTS_SHOWN, _POINT_COLOUR = 400, "#b3372b"
+_CONTACTS = 40  # points of the object that stand for all that is touched, for the choice of the view
 
 
-def touched_view(obj: ObjectModel, closeness: np.ndarray, hand_meshes: list[Mesh] | None = None) -> np.ndarray:
+Posed = tuple[Hand, np.ndarray, np.ndarray]  # a hand, X_OH (4, 4) and q (J,)
+
+
+def touched_view(obj: ObjectModel, closeness: np.ndarray, posed: Posed | None = None) -> np.ndarray:
     """(3,) direction towards the camera that shows most of what a contact map touches, object frame.
 
     Args:
-        closeness: (P,) at `obj.points_O`. hand_meshes: what may stand before it; none for an object alone.
+        closeness: (P,) at `obj.points_O`. posed: the hand of the map, if it is known; every finger then counts alike.
     """
     touched = np.flatnonzero(closeness >= min(TOUCHED, float(closeness.max())))
-    chosen = touched[farthest_points(obj.points_O[touched], min(24, len(touched)))]
-    meshes = hand_meshes or []
-    own = np.full(len(chosen), -1)
-    return contact_direction(meshes, [-1] * len(meshes), obj.mesh, obj.points_O[chosen], own)
+    points = obj.points_O[touched[farthest_points(obj.points_O[touched], min(_CONTACTS, len(touched)))]]
+    if posed is None:
+        return contact_direction([], [], obj.mesh, points, np.full(len(points), -1))
+    hand, X_OH, q = posed
+    owner = finger_of_link(hand)
+    fingers = np.array([owner[part.link] for part in hand.parts])
+    X_OL = X_OH @ forward_fast(hand.tree, q[None])[0]
+    far = [part_distances(part, (points - X_OL[part.link, :3, 3]) @ X_OL[part.link, :3, :3]) for part in hand.parts]
+    meshes = [part.transformed(X_OH) for part in hand_part_meshes(hand, q, segments=8)]
+    return contact_direction(meshes, fingers.tolist(), obj.mesh, points, fingers[np.argmin(far, axis=0)])
 
 
-def render_points(
-    obj: ObjectModel, points_O: np.ndarray, *, view: np.ndarray, radius_m: float = 0.0015, size: tuple[int, int] = SIZE
-) -> np.ndarray:
-    """Picture (h, w, 4) of points (M, 3) as small balls around and on an object; at most 400 of them, spread evenly."""
+def marked_object(obj: ObjectModel, constraints: GraspConstraints | None) -> Surface:
+    """The object, what is kept free tinted red, what may be touched green when it is only part of it."""
+    plain = object_surface(obj.mesh)
+    if constraints is None or not (constraints.keep_free or constraints.only_region):
+        return plain
+    mesh = fine_mesh(obj.mesh, longest_edge_m=0.0025)
+    colour = np.tile(plain.colour, (len(mesh.vertices), 1))
+    for within, tint in zip(constraints.marked(mesh.vertices), (FREE_COLOUR, ONLY_COLOUR), strict=True):
+        colour[within] = mix(linear_rgb(tint), plain.colour, 0.5)
+    return Surface(mesh=mesh, colour=colour, gloss=plain.gloss, caster=obj.mesh)
+
+
+def point_surface(points_O: np.ndarray, *, radius_m: float = 0.0015) -> list[Surface]:
+    """Points (M, 3) as small balls, at most 400 of them, spread evenly; none for no points."""
     points = np.asarray(points_O, np.float64)
-    if len(points) > _POINTS_SHOWN:
-        points = points[farthest_points(points, _POINTS_SHOWN)]
+    if not len(points):
+        return []
+    chosen = points[farthest_points(points, min(len(points), _POINTS_SHOWN))]
     ball = sphere_mesh(radius_m, segments=8)
-    surfaces = [object_surface(obj.mesh)]
-    if len(points):
-        balls = merge_meshes([Mesh(ball.vertices + p, ball.faces) for p in points])
-        surfaces.append(Surface(mesh=balls, colour=linear_rgb(_POINT_COLOUR), gloss=0.1))
+    balls = merge_meshes([Mesh(ball.vertices + p, ball.faces) for p in chosen])
+    return [Surface(mesh=balls, colour=linear_rgb(_POINT_COLOUR), gloss=0.1)]
+
+
+def _picture(surfaces: Sequence[Surface], view: np.ndarray, size: tuple[int, int] = SIZE) -> np.ndarray:
     X_WC, intrinsics = frame_camera(np.concatenate([s.mesh.vertices for s in surfaces]), view, size)
     return shade(surfaces, X_WC, intrinsics, style=Style())
-
-
-def grasp_pictures(
-    hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, closeness: np.ndarray, *, view: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """A grasp and its contact map (P,) from the same side."""
-    return render_grasp(hand, obj, X_OH, q, view=view), render_contact_map(obj, closeness, view=view)
 
 
 def transfer_list(
@@ -72,9 +92,9 @@ def transfer_list(
     *,
     title: str,
     text: str = "",
-    grasp: tuple[Hand, np.ndarray, np.ndarray] | None = None,
+    grasp: Posed | None = None,
     points_O: np.ndarray | None = None,
-    clearance_m: np.ndarray | None = None,
+    constraints: GraspConstraints | None = None,
     shown: int = SHOWN,
     progress: Callable[[int, int], None] | None = None,
 ) -> TransferList:
@@ -83,43 +103,43 @@ def transfer_list(
     Args:
         title, text: what the query is, in a word and in a line.
         grasp: hand, X_OH (4, 4) and q (J,) of the query, where it is one; points_O: (M, 3) of the query, else.
-        clearance_m: (N,) of the grasps from what is kept free.
+        constraints: tint the object, and measure how far off the grasps are from what is kept free.
         shown: grasps, at most. progress: called with (drawn, to draw).
     """
     count = min(shown, len(result.grasps))
-    meshes = (
-        [] if grasp is None else [p.transformed(grasp[1]) for p in hand_part_meshes(grasp[0], grasp[2], segments=8)]
-    )
-    view = touched_view(obj, query.contact_map, meshes)
-    if grasp is not None:
-        image = render_grasp(grasp[0], obj, grasp[1], grasp[2], view=view)
-    else:
-        image = render_points(obj, np.zeros((0, 3)) if points_O is None else points_O, view=view)
-    contacts = render_contact_map(obj, query.contact_map, view=view)
+    view, thing = touched_view(obj, query.contact_map, grasp), marked_object(obj, constraints)
+    asked = point_surface(np.zeros((0, 3)) if points_O is None else points_O) if grasp is None else _hand(grasp)
     kept = result.grasps[:count]
     maps = contact_map_packed(obj.points_O, pack_shapes(hand), kept.X_OH, kept.q, radius=query.radius_m)
+    free = np.full(count, np.inf) if constraints is None else constraints.clearance(hand, kept.X_OH, kept.q)
     drawn = []
     for i in range(count):
         if progress is not None:
             progress(i, count)
-        free = None if clearance_m is None or not np.isfinite(clearance_m[i]) else 1e3 * float(clearance_m[i])
-        drawn.append(_transferred(result, i, hand, obj, maps[i], view, free))
+        pictures = (
+            _picture([*_hand((hand, kept.X_OH[i], kept.q[i])), thing], view),
+            render_contact_map(obj, maps[i], view=view),
+        )
+        drawn.append(_transferred(result, i, pictures, None if np.isinf(free[i]) else 1e3 * float(free[i])))
     return TransferList(
-        object=obj.name, hand=hand.name, title=title, text=text, image=image, contacts=contacts, grasps=tuple(drawn),
+        object=obj.name, hand=hand.name, title=title, text=text, image=_picture([*asked, thing], view),
+        contacts=render_contact_map(obj, query.contact_map, view=view), grasps=tuple(drawn),
         query_hand="" if grasp is None else grasp[0].name,
     )  # fmt: skip
 
 
+def _hand(posed: Posed) -> list[Surface]:
+    return posed_hand_surfaces(*posed)
+
+
 def _transferred(
-    result: TransferResult, i: int, hand: Hand, obj: ObjectModel, closeness: np.ndarray, view: np.ndarray,
-    clearance_mm: float | None,
-) -> TransferredGrasp:  # fmt: skip
+    result: TransferResult, i: int, pictures: tuple[np.ndarray, np.ndarray], clearance_mm: float | None
+) -> TransferredGrasp:
     grasps = result.grasps
     verdict = grasps.verdicts.get(grasps.protocol)
-    image, contacts = grasp_pictures(hand, obj, grasps.X_OH[i], grasps.q[i], closeness, view=view)
     return TransferredGrasp(
-        image=image,
-        contacts=contacts,
+        image=pictures[0],
+        contacts=pictures[1],
         similarity=float(result.similarity[i]),
         origin=result.origin[i],
         success=None if verdict is None else bool(verdict.success[i]),
