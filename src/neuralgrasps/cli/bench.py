@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import platform
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -20,10 +21,18 @@ from neuralgrasps.cli.options import (
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
+_FIXED_HANDS = {
+    "pose": "the hands are those of the shipped run",
+    "execute": "it measures Fetch, and Panda with the Allegro hand",
+    "demonstrate": "a Fetch repeats what people show",
+}
+
 
 def bench(
     terminal: Terminal,
-    name: Annotated[Literal["demo", "synthesis", "latent", "pose", "execute"], tyro.conf.Positional],
+    name: Annotated[
+        Literal["demo", "synthesis", "latent", "pose", "execute", "transfer", "demonstrate"], tyro.conf.Positional
+    ],
     /,
     *,
     objects: AllNames = (),
@@ -40,27 +49,24 @@ def bench(
 
     Args:
         name: demo, the whole path into a temporary folder; synthesis, speed and quality of grasps pair by pair;
-            latent, cost and quality of the latent space; pose, errors and speed of pose estimates beside others'; or
-            execute, objects lifted in simulation, by pose method and robot.
+            latent, cost and quality of the latent space; pose, errors and speed of pose estimates beside others';
+            execute, objects lifted in simulation, by pose method and robot; transfer, grasps carried over between all
+            pairs of hands; or demonstrate, synthetic RGB-D demonstrations repeated by a robot.
         objects: names, mesh files or folders of mesh files; default the three objects of the demo, or all built-in;
-            latent, pose and execute: the scans where they were imported or downloaded.
-        hands: default the five built-in hands; not of pose and execute.
+            latent and what follows: the scans where they were imported or downloaded.
+        hands: default the five built-in hands; not of pose, execute and demonstrate.
         count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent; pose: scenes per object and
-            set, default 20, with --quick 10; execute: scenes per object, default 50, with --quick 5.
+            set, default 20, with --quick 10; execute: scenes per object, default 50, with --quick 5; transfer: queries
+            per pair of hands and object, default 10, with --quick 2; demonstrate: videos per object, default 10, with
+            --quick 2.
         seed: root of every random number.
         workers: processes.
         quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects; latent: the shipped run, and
-            two objects trained anew; pose and execute: fewer scenes.
+            two objects trained anew; pose, execute, transfer and demonstrate: fewer scenes, queries or videos.
         unseen_hand: synthesis: also time 20 grasps of the soup can by this URDF or MJCF in a fresh process.
         run: latent: measure this run, by folder or shipped name, and train two of its objects anew.
         grasps: latent: folder of grasps; those of all pairs are made there first unless they are.
     """
-    from neuralgrasps.cli.bench_demo import bench_demo
-    from neuralgrasps.cli.bench_execute import bench_execute
-    from neuralgrasps.cli.bench_latent import bench_latent
-    from neuralgrasps.cli.bench_pose import bench_pose
-    from neuralgrasps.cli.bench_synthesis import bench_synthesis
-
     check_seed(seed)
     if count is not None and count < 1:
         raise InputError(f"--count is {count}; expected at least 1.")
@@ -71,23 +77,17 @@ def bench(
         raise InputError(f"--unseen-hand is of 'bench synthesis'; 'bench {name}' takes every hand with --hands.")
     if name != "latent" and (run is not None or grasps is not None):
         raise InputError(f"--run and --grasps are of 'bench latent'; 'bench {name}' makes its own.")
-    if name == "pose" and hands:
-        raise InputError("--hands is not of 'bench pose': the hands are those of the shipped run.")
-    if name == "execute" and hands:
-        raise InputError("--hands is not of 'bench execute': it measures Fetch, and Panda with the Allegro hand.")
+    if name in _FIXED_HANDS:
+        if hands:
+            raise InputError(f"--hands is not of 'bench {name}': {_FIXED_HANDS[name]}.")
+        del options["hands"]
+    if name == "latent":
+        options |= {"run": run, "grasps": grasps}
+    if name == "synthesis":
+        options["unseen_hand"] = unseen_hand
     measured_on = machine()
-    if name == "demo":
-        result = bench_demo(terminal, **options)
-    elif name == "latent":
-        result = bench_latent(terminal, **options, run=run, grasps=grasps)
-    elif name == "pose":
-        del options["hands"]
-        result = bench_pose(terminal, **options)
-    elif name == "execute":
-        del options["hands"]
-        result = bench_execute(terminal, **options)
-    else:
-        result = bench_synthesis(terminal, **options, unseen_hand=unseen_hand)
+    measure = getattr(importlib.import_module(f"neuralgrasps.cli.bench_{name}"), f"bench_{name}")
+    result = measure(terminal, **options)
     terminal.table(("figure", "value"), [(key, float(value)) for key, value in result["figures"].items()])
     return Outcome(result={"name": name, "machine": measured_on, **result})
 

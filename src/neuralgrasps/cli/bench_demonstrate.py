@@ -1,0 +1,92 @@
+"""`neuralgrasps bench demonstrate`: synthetic RGB-D demonstrations, from frames to the object in the robot's hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import Any
+
+from neuralgrasps.cli.bench_execute import execute_objects
+from neuralgrasps.cli.bench_pose import library_of
+from neuralgrasps.cli.models import open_objects, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.terminal import Terminal
+
+_NOTES = {
+    "videos": "a person's hand of a random size and side comes to an object that rests on a table, makes a grasp that "
+    "holds it in physics, keeps still and, in half of them, lifts it; 640 x 480 depth with the noise of a "
+    "structured-light camera 0.5 to 1 m away. Hands are scaled copies of our own model, also in training: upper bounds",
+    "joints_": "the joint net alone in the detector's box, in every other frame from the grasp on in which more than "
+    "0.4 of the hand's outline is seen; root-relative: mean distance of the 20 joints with the wrists put together; "
+    "Procrustes: of 21, after the best rotation, shift and scale; frames without a box are not in them (joints_found)",
+    "fitted_": "the hand model fitted to each of these frames alone, its size measured once over the video; surface: "
+    "root mean square distance of the true surface, all of it, to the fitted one, mean over the frames",
+    "grasp_": "the one fit to all still frames of a video",
+    "fps": "detector, joints, masked cloud and fit of one frame, one thread, the other workers busy",
+    "fit_rms_mm": "joints with noise and masked depth, see hand_fit_bench",
+    "demonstrate_success": "the robot finds the object anew, before it at a random place of its table, and lifts it "
+    "with a transferred grasp at the first attempt, as in `bench execute`; of all videos",
+    "contact_similarity": "1 - mean |difference| of the contact map seen and the true one, in the best of the object's "
+    "orientations",
+}
+
+
+def bench_demonstrate(
+    terminal: Terminal,
+    *,
+    objects: Sequence[str],
+    count: int | None,
+    seed: int,
+    workers: int | None,
+    quick: bool,
+) -> dict[str, Any]:
+    """Config, figures, what is absent and why, notes and tables of the benchmark.
+
+    Args:
+        objects: names, files or folders; default the seven scans where they are, else the built-in seven.
+        count: demonstrations per object; default 10, quick 2.
+    """
+    from neuralgrasps.evaluate.demonstrate_bench import QUICK, DemonstrateBenchConfig
+    from neuralgrasps.evaluate.demonstrate_bench import bench_demonstrate as measure
+    from neuralgrasps.evaluate.demonstrate_figures import FIGURES, demonstrate_figures, demonstrate_tables
+    from neuralgrasps.parallel import available_cpus
+
+    config = replace(QUICK if quick else DemonstrateBenchConfig(), seed=seed)
+    if count is not None:
+        config = replace(config, videos=count)
+    sources = execute_objects(objects)
+    with terminal.progress("reading objects"):
+        models = open_objects(sources)
+    warn_of_damage(terminal, models.values())
+    warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
+    library = library_of(sources, models)
+    with terminal.progress("demonstrations", "tasks") as bar:
+        bench = measure(library, config=config, workers=workers, progress=bar)
+    figures, tables = demonstrate_figures(bench), demonstrate_tables(bench)
+    _show(terminal, tables)
+    absent = {name: "not measured" for name in FIGURES if name not in figures}
+    for name, why in absent.items():
+        terminal.say(f"absent: {name}: {why}")
+    shown = {
+        **asdict(config),
+        "quick": quick,
+        "workers": workers or available_cpus(),
+        "wall_s": bench.wall_s,
+        "objects": {name: obj.provenance.get("source", "") for name, obj in models.items()},
+        "run": library.run,
+    }
+    videos = [{k: v for k, v in asdict(video).items() if k != "frames"} for video in bench.videos]
+    return {
+        "config": shown,
+        "figures": figures,
+        "absent": absent,
+        "notes": _NOTES,
+        "table": tables,
+        "videos": videos,
+    }
+
+
+def _show(terminal: Terminal, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    for rows in tables.values():
+        if rows:
+            columns = tuple(rows[0])
+            terminal.table(columns, [[row[c] for c in columns] for row in rows])

@@ -1,0 +1,132 @@
+"""Figures and tables of the benchmark of demonstrations."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from neuralgrasps.evaluate.demonstrate_bench import DemonstrateBench
+from neuralgrasps.evaluate.demonstrate_trials import FrameErrors, VideoRecord
+from neuralgrasps.evaluate.shares import wilson_interval
+
+FIGURES = (
+    "joints_root_relative_mm", "joints_procrustes_mm", "joints_found", "fitted_root_relative_mm", "fitted_surface_mm",
+    "fit_rms_mm", "fps", "grasp_root_relative_mm", "grasp_surface_mm", "side_right", "moment_right",
+    "object_pose_right", "contact_similarity", "transfer_similarity_minus_oracle", "demonstrate_success", "demonstrate_success_retry",
+    "grasps_found",
+)  # fmt: skip
+_VISIBLE = (0.4, 0.6, 0.8, 1.01)
+
+
+def demonstrate_figures(bench: DemonstrateBench) -> dict[str, float]:
+    """The headline numbers; what could not be measured is left out."""
+    frames = [f for video in bench.videos for f in video.frames]
+    seen, videos = [f for f in frames if f.found], bench.videos
+    grasped = [v for v in videos if np.isfinite(v.grasp_root)]
+    out = {
+        "joints_root_relative_mm": _mm(f.net_root for f in seen),
+        "joints_procrustes_mm": _mm(f.net_procrustes for f in seen),
+        "joints_root_relative_median_mm": _mm((f.net_root for f in seen), np.median),
+        "joints_found": _share(f.found for f in frames),
+        "fitted_root_relative_mm": _mm(f.fit_root for f in seen),
+        "fitted_surface_mm": _mm(f.fit_surface for f in seen),
+        "fitted_surface_median_mm": _mm((f.fit_surface for f in seen), np.median),
+        "fps": 1.0 / float(np.mean([f.seconds for f in seen])) if seen else float("nan"),
+        "grasp_root_relative_mm": _mm(v.grasp_root for v in grasped),
+        "grasp_surface_mm": _mm(v.grasp_surface for v in grasped),
+        "grasps_found": _share(np.isfinite(v.grasp_root) for v in videos),
+        "side_right": _share(v.side_right for v in videos),
+        "moment_right": _share(v.moment_off == 0 for v in videos),
+        "object_pose_right": _share(v.object_add_s < 0.01 for v in videos),
+        "contact_similarity": 1.0 - _mean(v.map_difference for v in videos),
+        "transfer_similarity_minus_oracle": _mean(v.similarity - v.oracle for v in videos),
+        "demonstrate_success": _share(v.lifted for v in videos),
+        "demonstrate_success_retry": _share(v.lifted_retry for v in videos),
+        **bench.fit,
+    }
+    return {name: value for name, value in out.items() if np.isfinite(value)}
+
+
+def demonstrate_tables(bench: DemonstrateBench) -> dict[str, list[dict[str, Any]]]:
+    """By object, by visible share of the hand, by stage of failure, and seconds by stage."""
+    names = list(dict.fromkeys(v.object for v in bench.videos))
+    objects = [_object_row(name, [v for v in bench.videos if v.object == name]) for name in names]
+    if len(names) > 1:
+        objects.append(_object_row("all", bench.videos))
+    frames = [f for v in bench.videos for f in v.frames]
+    visible = [
+        _visible_row(low, high, [f for f in frames if low < f.visible <= high]) for low, high in pairwise(_VISIBLE)
+    ]
+    ends = Counter((v.stage or "none", v.reason if v.stage else "") for v in bench.videos)
+    stages = [
+        {"stage": stage, "reason": reason, "count": count} for (stage, reason), count in sorted(ends.items(), key=str)
+    ]
+    kinds = list(dict.fromkeys(k for v in bench.videos for k in v.seconds))
+    seconds = [{"stage": k, "median_s": _median(v.seconds.get(k) for v in bench.videos)} for k in kinds]
+    return {"objects": objects, "visible": visible, "stages": stages, "seconds": seconds}
+
+
+def _object_row(name: str, videos: Sequence[VideoRecord]) -> dict[str, Any]:
+    seen = [f for v in videos for f in v.frames if f.found]
+    lifted = sum(v.lifted for v in videos)
+    low, high = wilson_interval(lifted, len(videos))
+    return {
+        "object": name,
+        "videos": len(videos),
+        "frames": len(seen),
+        "net_root_mm": _mm(f.net_root for f in seen),
+        "net_procrustes_mm": _mm(f.net_procrustes for f in seen),
+        "fit_root_mm": _mm(f.fit_root for f in seen),
+        "fit_surface_mm": _mm(f.fit_surface for f in seen),
+        "grasp_root_mm": _mm(v.grasp_root for v in videos),
+        "grasp_surface_mm": _mm(v.grasp_surface for v in videos),
+        "similarity": _mean(v.similarity for v in videos),
+        "oracle": _mean(v.oracle for v in videos),
+        "similarity_true": _mean(v.similarity_true for v in videos),
+        "lifted": lifted / len(videos),
+        "low": low,
+        "high": high,
+        "with_retry": _share(v.lifted_retry for v in videos),
+    }
+
+
+def _visible_row(low: float, high: float, frames: Sequence[FrameErrors]) -> dict[str, Any]:
+    seen = [f for f in frames if f.found]
+    return {
+        "visible": f"{low:.1f}-{min(high, 1.0):.1f}",
+        "frames": len(frames),
+        "found": _share(f.found for f in frames),
+        "net_root_mm": _mm(f.net_root for f in seen),
+        "net_procrustes_mm": _mm(f.net_procrustes for f in seen),
+        "fit_root_mm": _mm(f.fit_root for f in seen),
+        "fit_surface_mm": _mm(f.fit_surface for f in seen),
+    }
+
+
+def _finite(values: Iterable[float | None]) -> np.ndarray:
+    array = np.array([np.nan if v is None else float(v) for v in values])
+    return array[np.isfinite(array)]
+
+
+def _mean(values: Iterable[float]) -> float:
+    known = _finite(values)
+    return float(known.mean()) if len(known) else float("nan")
+
+
+def _median(values: Iterable[float | None]) -> float:
+    known = _finite(values)
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def _mm(values: Iterable[float], of: Any = np.mean) -> float:
+    known = _finite(values)
+    return 1e3 * float(of(known)) if len(known) else float("nan")
+
+
+def _share(values: Iterable[Any]) -> float:
+    known = [bool(v) for v in values]
+    return float(np.mean(known)) if known else float("nan")
