@@ -21,6 +21,7 @@ from neuralgrasps.cli.options import (
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
+Benchmark = Literal["demo", "synthesis", "latent", "pose", "execute", "transfer", "demonstrate"]
 _FIXED_HANDS = {
     "pose": "the hands are those of the shipped run",
     "execute": "it measures Fetch, and Panda with the Allegro hand",

@@ -16,7 +16,8 @@ from neuralgrasps.evaluate.shares import wilson_interval
 FIGURES = (
     "joints_root_relative_mm", "joints_procrustes_mm", "joints_found", "fitted_root_relative_mm", "fitted_surface_mm",
     "fit_rms_mm", "fps", "grasp_root_relative_mm", "grasp_surface_mm", "side_right", "moment_right",
-    "object_pose_right", "contact_similarity", "transfer_similarity_minus_oracle", "demonstrate_success", "demonstrate_success_retry",
+    "object_pose_right", "contact_similarity", "transfer_similarity_minus_oracle", "demonstrate_success",
+    "demonstrate_success_retry",
     "grasps_found",
 )  # fmt: skip
 _VISIBLE = (0.4, 0.6, 0.8, 1.01)
