@@ -96,7 +96,7 @@ def run_task(task: TrialTask) -> dict[str, Any]:
     record = _record(task, obj, trial, redrawn, reasons) | {"wall_s": time.perf_counter() - begun}
     task.folder.mkdir(parents=True, exist_ok=True)
     if trial is not None:
-        _write_plan(task, trial, manipulator)
+        write_plan(task.folder / PLAN_FILE, trial, manipulator)
         if (task.pictures or task.film) and record["recorded"]:
             begun = time.process_time()
             _draw(task, trial, manipulator)
@@ -183,7 +183,8 @@ def _record(
     return common | trial_record(trial)
 
 
-def _write_plan(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:
+def write_plan(path: Path, trial: Trial, manipulator: Manipulator) -> None:
+    """The plan of a trial's first attempt as a YAML file; none when there was none."""
     from neuralgrasps.export.pick_plan import save_pick_plan
     from neuralgrasps.export.plan_origin import PlanOrigin
     from neuralgrasps.planning.world import box_top
@@ -194,7 +195,7 @@ def _write_plan(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None
         origin = PlanOrigin(
             X_BO=first.X_BO_estimate, confidence=first.confidence, table_B=table_B, seed=first.pick.seed
         )
-        save_pick_plan(task.folder / PLAN_FILE, first.plan, manipulator, origin=origin)
+        save_pick_plan(path, first.plan, manipulator, origin=origin)
 
 
 def _draw(task: TrialTask, trial: Trial, manipulator: Manipulator) -> None:

@@ -141,16 +141,6 @@ def grasp_views(
     return (*pictures, ("where the object is touched", alone))
 
 
-def grasp_card_pictures(
-    hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, *, up_O: np.ndarray, view: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """A grasp and its contact map from one side, `view` (3,) as from `grasp_direction`."""
-    X_UO, hand = upright(up_O), as_person(hand)
-    mesh, values = _touched(hand, obj, X_OH, q)
-    grasp = render_grasp(hand, obj.mesh.transformed(X_UO), X_UO @ X_OH, q, size=_CARD_SIZE, view=view)
-    return grasp, render_object(mesh.transformed(X_UO), vertex_values=values, size=_CARD_SIZE, view=view)
-
-
 def as_person(hand: Hand) -> Hand:
     """A scaled or mirrored human hand under the name whose colour it gets; any other hand as it is."""
     return replace(hand, name="human") if hand.name.startswith("human") else hand

@@ -1,0 +1,244 @@
+"""`neuralgrasps demonstrate`: a person grasps an object before a depth camera, and a robot does the same."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from neuralgrasps.cli.demonstrate_input import ShownOptions, ShownSource, check_shown, read_other_joints, read_shown
+from neuralgrasps.cli.models import source_text, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.options import OptionalFile, OptionalFolder, OptionalText, check_seed
+from neuralgrasps.cli.outputs import check_writable
+from neuralgrasps.cli.terminal import Outcome, Terminal
+from neuralgrasps.cli.transfer import OptionalCone, Regions
+from neuralgrasps.errors import InputError
+
+if TYPE_CHECKING:
+    from neuralgrasps.apply.demonstrate import Demonstration
+    from neuralgrasps.arms.manipulator import Manipulator
+    from neuralgrasps.evaluate.execute import Trial
+    from neuralgrasps.grasps.grasp_set import GraspSet
+    from neuralgrasps.hands.hand import Hand
+    from neuralgrasps.objects.object_model import ObjectModel
+    from neuralgrasps.perception.frame import Frame
+
+Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+Rgbd = Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")]
+_NOTHING_GIVEN = ShownSource()
+_RECORD_EVERY_S = 0.04
+_RETRIES = 1
+
+
+def demonstrate(
+    terminal: Terminal,
+    *,
+    rgbd: Rgbd,
+    object_name: Annotated[str, tyro.conf.arg(name="object", metavar="NAME|FILE")],
+    hand: Name = "fetch",
+    arm: OptionalText = None,
+    execute: bool = False,
+    source: ShownOptions = _NOTHING_GIVEN,
+    count: int = 5,
+    method: Literal["both", "retrieve", "generate"] = "both",
+    only_region: Regions = (),
+    keep_free: Regions = (),
+    approach: OptionalCone = None,
+    grasps: OptionalFile = None,
+    flange: OptionalText = None,
+    missing_meshes: Literal["error", "skip"] = "error",
+    seed: int = 0,
+    report: OptionalFile = None,
+    video: OptionalFile = None,
+    out: OptionalFolder = None,
+) -> Outcome:
+    """Watch a person grasp an object, and find how a robot hand grasps it alike; with --execute, do it in simulation.
+
+    The object is found and followed, the hand found, its joints read and the hand model fitted; the grasp, in the
+    object's frame, is carried over to the robot's hand, and each of its grasps tried in physics. Every stage can fail,
+    and says why. Exit code 1 when one does.
+
+    Example: neuralgrasps demonstrate --rgbd video --object mustard_bottle --hand fetch --execute --report page.html
+
+    Args:
+        rgbd: folder of frames: NAME-depth and NAME-color files, or depth/ and rgb/; or one depth image.
+        object_name: the object that is grasped: a name, or a mesh file.
+        hand: of the robot: a name, or a URDF or MJCF file.
+        arm: fetch, panda, or a URDF file, to carry the hand with --execute; default the hand's own.
+        execute: the robot looks, plans, and lifts the object in simulation.
+        source: what was filmed.
+        count: grasps wanted.
+        method: retrieve: known grasps; generate: new ones, searched; or both.
+        only_region: the robot touches the object only there; a REGION is as in `transfer`.
+        keep_free: no part of the robot's hand comes near the object there.
+        approach: the palm comes along this axis of the object, at most so far off it.
+        grasps: known grasps of this hand and object; default the shipped ones, else some are made and kept.
+        flange: link of the arm's file that carries the hand, where it is not found.
+        missing_meshes: skip: leave out shapes whose mesh files are not there.
+        seed: the same seed gives the same result.
+        report: HTML page: the video with what was seen, the grasp, the robot's grasps, and the execution.
+        video: film of the execution, .mp4.
+        out: folder for numbers (JSON), grasps, pictures, and the robot's plan (YAML).
+    """
+    check_seed(seed)
+    check_shown(source)
+    _check_options(count, execute=execute, arm=arm, video=video, report=report, out=out)
+    begun = time.perf_counter()
+    manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
+    with terminal.progress("reading the object"):
+        obj = _open_object(terminal, object_name)
+    frames, kept = read_shown(terminal, rgbd, source)
+    rules = _rules(obj, only_region, keep_free, approach)
+    demo = _watched(
+        terminal, frames, kept, obj, robot_hand, source, rules, _known(terminal, object_name, obj, robot_hand, grasps),
+        count=count, method=method, seed=seed,
+    )  # fmt: skip
+    pictured = report is not None or video is not None or out is not None
+    trial = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else None
+    from neuralgrasps.cli.demonstrate_files import write_demonstrated
+    from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
+    from neuralgrasps.report.demonstration_page import DemonstrationStory
+
+    story = DemonstrationStory(frames=frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
+    result = demonstration_record(story, kept) | {"rgbd": str(rgbd), "constraints": _rule_names(rules), "seed": seed}
+    result |= {"arm": None if manipulator is None else manipulator.arm.name, "wall_s": time.perf_counter() - begun}
+    show_demonstration(terminal, result)
+    result |= write_demonstrated(
+        terminal, story, result, manipulator, sources=(hand, object_name), report=report, video=video, out=out
+    )
+    return Outcome(result=result, exit_code=0 if not result["stage"] else 1)
+
+
+def _check_options(
+    count: int, *, execute: bool, arm: str | None, video: Path | None, report: Path | None, out: Path | None
+) -> None:
+    if count < 1:
+        raise InputError(f"--count is {count}; expected at least 1.")
+    if arm is not None and not execute:
+        raise InputError("--arm carries the hand in the execution; add --execute, or leave it out.")
+    if video is not None and not execute:
+        raise InputError("--video films the execution; add --execute, or leave it out.")
+    if video is not None and video.suffix.lower() != ".mp4":
+        raise InputError(f"--video is '{video}'; expected a file ending in .mp4.")
+    for path in (video, report):
+        if path is not None:
+            check_writable(path)
+    if out is not None:
+        check_writable(out, folder=True)
+
+
+def _open_robot(
+    hand: str, arm: str | None, flange: str | None, missing_meshes: Literal["error", "skip"], *, execute: bool
+) -> tuple[Manipulator | None, Hand]:
+    """The robot's hand, and its arm where it is to move."""
+    from neuralgrasps.cli.execute_trial import RobotChoice
+    from neuralgrasps.hands.zoo import load_hand
+
+    if not execute:
+        return None, load_hand(hand, missing_meshes=missing_meshes)
+    chosen = _own_arm(hand) if arm is None else source_text(arm)
+    robot = RobotChoice(arm=chosen, hand=source_text(hand), flange=flange, missing_meshes=missing_meshes).open()
+    return robot, robot.hand
+
+
+def _own_arm(hand: str) -> str:
+    """The arm that a built-in hand belongs to.
+
+    Raises:
+        InputError: another hand, whose arm must be given.
+    """
+    from neuralgrasps.arms.zoo import arm_names
+    from neuralgrasps.hands.zoo import load_hand
+
+    if hand in arm_names():
+        return hand
+    load_hand(hand)  # says what is wrong with it first
+    raise InputError(
+        f"--arm is missing: hand '{hand}' comes with none. Give a name ({', '.join(arm_names())}) or a URDF file."
+    )
+
+
+def _open_object(terminal: Terminal, spec: str) -> ObjectModel:
+    from neuralgrasps.objects.zoo import load_object
+
+    obj = load_object(spec)
+    warn_of_damage(terminal, [obj])
+    warn_of_stand_ins(terminal, {obj.name: spec}, {obj.name: obj})
+    return obj
+
+
+def _rules(obj: ObjectModel, only_region: Regions, keep_free: Regions, approach: OptionalCone) -> Any:
+    """What else is asked of the robot's grasps; None when nothing is."""
+    if not (only_region or keep_free or approach):
+        return None
+    from neuralgrasps.apply.constraint_text import parse_approach, parse_regions
+    from neuralgrasps.apply.constraints import GraspConstraints
+
+    return GraspConstraints(
+        obj=obj, only_region=parse_regions(only_region), keep_free=parse_regions(keep_free),
+        approach=None if approach is None else parse_approach(*approach),
+    )  # fmt: skip
+
+
+def _rule_names(rules: Any) -> list[str]:
+    return [] if rules is None else list(rules.names)
+
+
+def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Path | None) -> GraspSet | None:
+    """Grasps of the file, else of a shipped run; None: they are made on the spot."""
+    from neuralgrasps.cli.bench_pose import library_of
+    from neuralgrasps.cli.transfer_query import Known
+    from neuralgrasps.errors import NeuralGraspsError
+    from neuralgrasps.evaluate.pose_bench_methods import open_library_run
+    from neuralgrasps.grasps.grasp_io import load_grasps
+
+    if file is not None:
+        found = load_grasps(file)
+        if (found.hand, found.object) != (hand.name, obj.name) or not len(found):
+            raise InputError(
+                f"grasp file '{file}' holds {len(found)} grasps of '{found.hand}' on '{found.object}'; expected some "
+                f"of '{hand.name}' on '{obj.name}'."
+            )
+        return found
+    library = library_of((source_text(spec),), {obj.name: obj})
+    if library.run is None:
+        return None
+    try:
+        return Known(run=open_library_run(library)).grasps(hand, obj)
+    except NeuralGraspsError as error:
+        terminal.complain(f"note: shipped grasps are not used, new ones are made: {error}")
+        return None
+
+
+def _watched(
+    terminal: Terminal, frames: list[Frame], kept: list[int], obj: ObjectModel, hand: Hand, source: ShownSource,
+    rules: Any, known: GraspSet | None, *, count: int, method: Literal["both", "retrieve", "generate"], seed: int,
+) -> Demonstration:  # fmt: skip
+    from neuralgrasps.apply.demonstrate import DemonstrateConfig
+    from neuralgrasps.apply.demonstrate import demonstrate as watch
+    from neuralgrasps.apply.transfer import TransferConfig
+    from neuralgrasps.cli.compiling import BEGINS, compile_clock
+
+    joints = read_other_joints(source, frames, kept)
+    with terminal.progress("watching"), compile_clock(lambda: terminal.complain(BEGINS)):
+        return watch(
+            frames, obj, hand, joints=joints, side=source.side, known=known, constraints=rules, seed=seed,
+            config=DemonstrateConfig(transfer=TransferConfig(count=count, method=method)),
+        )  # fmt: skip
+
+
+def _executed(
+    terminal: Terminal, demo: Demonstration, obj: ObjectModel, manipulator: Manipulator | None, *, seed: int,
+    pictured: bool,
+) -> Trial | None:  # fmt: skip
+    """What came of carrying it out; None when nothing was transferred."""
+    from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
+    from neuralgrasps.evaluate.execute import ExecuteConfig
+
+    if demo.stage or manipulator is None:
+        return None
+    config = ExecuteConfig(retries=_RETRIES, record_every_s=_RECORD_EVERY_S if pictured else None)
+    with terminal.progress("the robot picks it up"):
+        return execute_demonstration(demo, obj, manipulator, config=config, seed=seed)

@@ -1,0 +1,133 @@
+"""What `demonstrate` looks at: the frames of a video or a single one, and joints that another tool read in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from neuralgrasps.cli.options import OptionalFile, OptionalFloat
+from neuralgrasps.cli.pose_input import PoseSource, list_sources
+from neuralgrasps.cli.terminal import Terminal, counted
+from neuralgrasps.errors import InputError
+
+if TYPE_CHECKING:
+    from neuralgrasps.human.seen import SeenJoints
+    from neuralgrasps.perception.frame import Frame
+
+OptionalSide = Annotated[
+    Literal["right", "left"] | None, tyro.conf.arg(metavar="right|left", help_behavior_hint="(default: decided)")
+]
+_MOST_FRAMES = 600  # 3 MB each
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShownSource:
+    """What was filmed, as options of the command.
+
+    Attributes:
+        colour: picture for a single depth image, only to draw over: all comes from depth.
+        every: take every n-th frame.
+        fx: focal length, pixels.
+        fy: focal length, pixels; default fx.
+        cx: principal point, pixels; default the middle.
+        cy: principal point, pixels; default the middle.
+        camera: JSON file of the camera in place of fx to cy; default a camera.json beside the images.
+        depth_scale: units of a depth image per metre; default 1000 for whole numbers, 1 for floating ones.
+        joints: 21 joints of the hand in every frame, by another tool, in place of the library's own: a JSON file, or a
+            folder with one for each frame.
+        landmarker: hand landmarker model (.task) to read them with; needs its package.
+        side: of the person's hand.
+    """
+
+    colour: OptionalFile = None
+    every: int = 1
+    fx: OptionalFloat = None
+    fy: OptionalFloat = None
+    cx: OptionalFloat = None
+    cy: OptionalFloat = None
+    camera: OptionalFile = None
+    depth_scale: OptionalFloat = None
+    joints: Annotated[Path | None, tyro.conf.arg(metavar="FILE|DIR", help_behavior_hint="(optional)")] = None
+    landmarker: OptionalFile = None
+    side: OptionalSide = None
+
+
+ShownOptions = Annotated[ShownSource, tyro.conf.arg(name="")]
+
+
+def check_shown(given: ShownSource) -> None:
+    """Refuse options that contradict each other.
+
+    Raises:
+        InputError: says which, and what to give.
+    """
+    if given.every < 1:
+        raise InputError(f"--every is {given.every}; expected 1 for all frames, 2 for every second one.")
+    if given.joints is not None and given.landmarker is not None:
+        raise InputError("--joints and --landmarker both give the joints; give one of them.")
+    for option, path in (("--joints", given.joints), ("--landmarker", given.landmarker)):
+        if path is not None and not path.exists():
+            raise InputError(f"{option} is '{path}', which does not exist.")
+
+
+def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> tuple[list[Frame], list[int]]:
+    """The frames, and their places among all of the folder: a frame without any depth is left out, and said.
+
+    Raises:
+        InputError: no frame can be read.
+    """
+    pending = list_sources(_as_pose_source(rgbd, given))
+    numbers = range(0, len(pending), given.every)
+    if len(numbers) > _MOST_FRAMES:
+        raise InputError(
+            f"'{rgbd}' holds {len(pending)} frames; expected at most {_MOST_FRAMES}: take every "
+            f"{-(-len(pending) // _MOST_FRAMES)}th with --every {-(-len(pending) // _MOST_FRAMES)}, or cut the video."
+        )
+    frames: list[Frame] = []
+    kept: list[int] = []
+    refused: list[InputError] = []
+    with terminal.progress("reading frames", "frames") as bar:
+        for done, number in enumerate(numbers, start=1):
+            try:
+                frame = pending[number].read().frame
+            except InputError as error:
+                refused.append(error)
+                continue
+            if frame is not None:
+                frames.append(frame)
+                kept.append(number)
+            bar(done, len(numbers))
+    if not frames:
+        raise refused[0]
+    if refused:
+        terminal.complain(f"warning: {counted(len(refused), 'frame')} left out, the first because: {refused[0]}")
+    return frames, kept
+
+
+def read_other_joints(given: ShownSource, frames: list[Frame], kept: list[int]) -> list[SeenJoints | None] | None:
+    """Joints by another tool, one for each frame; None where the library reads its own.
+
+    Raises:
+        InputError: a file that cannot be used, or joints of another number of frames.
+    """
+    return None
+
+
+def _as_pose_source(rgbd: Path, given: ShownSource) -> PoseSource:
+    """The same options for the reader of frames."""
+    if rgbd.is_file():
+        return PoseSource(
+            depth=rgbd, colour=given.colour, fx=given.fx, fy=given.fy, cx=given.cx, cy=given.cy, camera=given.camera,
+            depth_scale=given.depth_scale,
+        )  # fmt: skip
+    if not rgbd.is_dir():
+        raise InputError(f"--rgbd is '{rgbd}', which does not exist; expected a folder of frames or a depth image.")
+    if given.colour is not None:
+        raise InputError("--colour goes with a single depth image; frames of a folder bring their own.")
+    return PoseSource(
+        frames=rgbd, fx=given.fx, fy=given.fy, cx=given.cx, cy=given.cy, camera=given.camera,
+        depth_scale=given.depth_scale,
+    )  # fmt: skip

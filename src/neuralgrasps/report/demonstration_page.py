@@ -1,0 +1,274 @@
+"""The page of a demonstration: what was seen of the person, what the robot makes of it, and where it failed and why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from neuralgrasps.apply.demonstrate import Demonstration
+from neuralgrasps.evaluate.execute import Trial
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.human.grasp_moment import touch
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.report.content import DemoReport, ExecutionFigure, KeyFigure, StageTime, Table
+from neuralgrasps.report.demonstration_content import DemonstrationFigure, StageFigure, TrackFigure
+from neuralgrasps.report.demonstration_pictures import (
+    Demonstrated,
+    as_person,
+    close_ups,
+    grasp_views,
+    moving_overlay,
+    strip_pictures,
+)
+from neuralgrasps.report.demonstration_stages import demonstration_stages
+from neuralgrasps.report.hand_overlay import HandLayers
+from neuralgrasps.report.sections import number_text, pretty_name
+from neuralgrasps.report.transfer_content import TransferList
+from neuralgrasps.report.transfer_page import transfer_list
+
+Progress = Callable[[str], None]
+_EXECUTION_TEXT = (
+    "The robot looks with its own depth camera, finds the object, plans with the grasps in the order above, and lifts. "
+    "The object stands where the robot can reach it, on the same side as in the demonstration. Simulated: real "
+    "friction, cameras and arms differ."
+)
+_TRANSFER_TEXT = (
+    "Framed, how the person touches the object; beside it the robot's grasps that touch it most alike, best first, "
+    "each tried in physics. Similarity is that of the contact maps: 1 is the same, 0 the most different pair."
+)
+_STAGES_TEXT = "From the video to the lifted object; a stage that fails says why, and those after it are not reached."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DemonstrationStory:
+    """All that the page shows.
+
+    Attributes:
+        frames: (T) of the video. demo: what came of them. obj, hand: as used.
+        executed: the robot was to carry it out; trial: what came of that, None when nothing was tried.
+        executions: its card.
+    """
+
+    frames: Sequence[Frame]
+    demo: Demonstration
+    obj: ObjectModel
+    hand: Hand
+    executed: bool = False
+    trial: Trial | None = None
+    executions: tuple[ExecutionFigure, ...] = ()
+
+    @property
+    def stages(self) -> tuple[StageFigure, ...]:
+        return demonstration_stages(self.demo, self.trial, executed=self.executed)
+
+
+def demonstration_report(
+    story: DemonstrationStory, *, robot: str, command: str, machine: str = "", seed: int | None = None,
+    version: str = "", created: str = "", progress: Progress | None = None,
+) -> DemoReport:  # fmt: skip
+    """The page's content; drawing takes some 10 seconds.
+
+    Args:
+        robot: name of the hand, and of the arm where it is another.
+        progress: called with what is drawn next.
+    """
+    say = progress or (lambda _: None)
+    demo, name = story.demo, pretty_name(story.obj.name)
+    figure = demonstration_figure(story, say)
+    say("grasps")
+    lists = () if demo.transfer is None else (shown_transfer(story),)
+    outcome = "picks it up the same way" if story.executed else "grasps that touch it alike"
+    return DemoReport(
+        title="Shown by a hand",
+        subtitle=f"A person grasps the {name} before a depth camera; {robot}: {outcome}.",
+        command=command,
+        machine=machine,
+        seed=seed,
+        version=version,
+        created=created,
+        key_figures=_key_figures(story),
+        demonstration=figure,
+        transferred=lists,
+        executions=story.executions,
+        times=tuple(StageTime(stage=stage, wall_s=s) for stage, s in demo.seconds.items()),
+        tables=(_stage_table(story.stages), *_grasp_table(story)),
+        notes=_notes(story),
+        section_titles={"executions": "Execution", "numbers": "In numbers", "transferred": "Grasps of the robot"},
+        section_texts={"executions": _EXECUTION_TEXT, "stages": _STAGES_TEXT, "transferred": _TRANSFER_TEXT},
+    )
+
+
+def demonstration_figure(story: DemonstrationStory, say: Progress) -> DemonstrationFigure:
+    """What was seen: the strip, its film, the hand over the frames, and the grasp."""
+    demo, seen = story.demo, drawn_frames(story.frames, story.demo, story.obj)
+    if demo.track is None:
+        say("the frame")
+        shown = shown_frame(seen, demo)
+        return DemonstrationFigure(stages=story.stages, close_ups=close_ups(story.frames[shown], seen.layers[shown]))
+    say("the strip")
+    several = len(story.frames) > 1
+    moment = shown_frame(seen, demo)
+    figure = DemonstrationFigure(
+        stages=story.stages,
+        frames=strip_pictures(seen) if several else (),
+        animation=moving_overlay(seen) if several else b"",
+        track=track_figure(demo, story.obj) if several else None,
+        close_ups=close_ups(story.frames[moment], seen.layers[moment]),
+    )
+    if demo.X_OH is None or demo.q is None or demo.human is None:
+        return figure
+    say("the grasp")
+    up = np.array([0.0, 0.0, 1.0]) if demo.table_O is None else demo.table_O.normal
+    return DemonstrationFigure(
+        stages=figure.stages, frames=figure.frames, animation=figure.animation, track=figure.track,
+        close_ups=figure.close_ups, views=grasp_views(demo.human, story.obj, demo.X_OH, demo.q, up_O=up),
+        facts=_grasp_facts(demo),
+    )  # fmt: skip
+
+
+def drawn_frames(frames: Sequence[Frame], demo: Demonstration, obj: ObjectModel) -> Demonstrated:
+    """The frames with what was seen in each; at the moment of the grasp the fit to all its still frames."""
+    track, followed = demo.track, demo.followed
+    layers = []
+    for index in range(len(frames)):
+        X_CO = None if followed is None else followed.X_CO[index]
+        known = X_CO is not None and np.isfinite(X_CO).all()
+        fitted = None if track is None else track.frames[index]
+        if track is not None and index == track.moment:
+            fitted = track.grasp
+        layers.append(
+            HandLayers(
+                box=None if track is None else track.boxes[index],
+                joints=None if track is None else track.seen[index],
+                fitted=fitted,
+                mesh=obj.mesh if known else None,
+                X_CO=X_CO if known else None,
+                name=pretty_name(obj.name),
+            )
+        )
+    return Demonstrated(frames=frames, layers=layers, moment=-1 if track is None else track.moment)
+
+
+def track_figure(demo: Demonstration, obj: ObjectModel) -> TrackFigure | None:
+    """The hand over the frames in numbers; None without a track."""
+    track = demo.track
+    if track is None or demo.followed is None:
+        return None
+    count = len(track.frames)
+    gap, moved, residual = (np.full(count, np.nan) for _ in range(3))
+    before: np.ndarray | None = None
+    last = -1
+    for index, fitted in enumerate(track.frames):
+        if fitted is None:
+            continue
+        X_CO = demo.followed.X_CO[index]
+        if np.isfinite(X_CO).all():
+            gap[index] = 1e3 * max(touch(fitted, obj, X_CO).nearest_m, 0.0)
+        residual[index] = 1e3 * fitted.cloud_rms_m
+        if before is not None:
+            step = np.linalg.norm(fitted.joints_C - before, axis=1).mean() / (index - last)
+            moved[index] = 1e3 * float(step)
+        before, last = fitted.joints_C, index
+    span = (min(track.still), max(track.still)) if len(track.still) > 1 else None
+    return TrackFigure(gap_mm=gap, moved_mm=moved, residual_mm=residual, moment=track.moment, span=span)
+
+
+def shown_transfer(story: DemonstrationStory) -> TransferList:
+    """The robot's grasps beside the person's."""
+    demo = story.demo
+    assert demo.transfer is not None and demo.query is not None and demo.human is not None
+    assert demo.X_OH is not None and demo.q is not None
+    return transfer_list(
+        demo.transfer, demo.query, story.hand, story.obj,
+        title="shown by the person", text=demo.transfer.reason, grasp=(as_person(demo.human), demo.X_OH, demo.q),
+    )  # fmt: skip
+
+
+def shown_frame(seen: Demonstrated, demo: Demonstration) -> int:
+    """The frame of the grasp; without one the last of those in which most was seen."""
+    if demo.track is not None and demo.track.moment >= 0:
+        return demo.track.moment
+    score = [(layer.fitted is not None) + (layer.joints is not None) + (layer.box is not None) for layer in seen.layers]
+    if max(score):
+        return max(k for k, value in enumerate(score) if value == max(score))
+    return 0 if demo.followed is None else max(demo.followed.found_in, 0)
+
+
+def _key_figures(story: DemonstrationStory) -> tuple[KeyFigure, ...]:
+    demo, figures = story.demo, []
+    track, found = demo.track, demo.transfer
+    if track is not None:
+        seen = sum(box is not None for box in track.boxes)
+        figures.append(KeyFigure(value=f"{seen} of {len(track.boxes)}", label="frames with a hand", note=track.side))
+        if track.grasp is not None:
+            sure = f"{100 * track.grasp.confidence:.0f} %"
+            figures.append(
+                KeyFigure(value=sure, label="sure of the fitted grasp", note=_off_text(track.grasp.cloud_rms_m))
+            )
+    if found is not None and len(found.grasps):
+        best = "" if not np.isfinite(found.oracle) else f"best known grasp {found.oracle:.2f}"
+        figures.append(KeyFigure(value=f"{found.similarity[0]:.2f}", label="contact similarity", note=best))
+    if story.trial is not None:
+        done = "lifted" if story.trial.success_retry else "not lifted"
+        figures.append(KeyFigure(value=done, label="in simulation", note=story.trial.cause))
+    return tuple(figures)
+
+
+def _off_text(rms_m: float) -> str:
+    return f"{1e3 * rms_m:.1f} mm off the points" if np.isfinite(rms_m) else ""
+
+
+def _grasp_facts(demo: Demonstration) -> tuple[tuple[str, str], ...]:
+    assert demo.track is not None and demo.track.grasp is not None
+    track, grasp = demo.track, demo.track.grasp
+    facts = (
+        ("hand", track.side),
+        ("size", f"{track.scale:.2f} of the model"),
+        ("confidence", f"{100 * grasp.confidence:.0f} %"),
+        ("points off", number_text(1e3 * grasp.cloud_rms_m, ".1f", "mm")),
+        ("joints off", number_text(1e3 * grasp.joint_rms_m, ".1f", "mm")),
+        ("into the object", number_text(1e3 * grasp.penetration_m, ".1f", "mm")),
+        ("touching", ", ".join(track.contacts) or "–"),
+    )
+    return tuple((name, value) for name, value in facts if not value.startswith("–"))
+
+
+def _stage_table(stages: Sequence[StageFigure]) -> Table:
+    words = {"ok": "OK", "failed": "FAILED", "not reached": "not reached"}
+    rows = tuple((s.name, words[s.verdict], s.reason or s.text) for s in stages)
+    return Table(title="Stages", columns=("stage", "verdict", "what it came to"), rows=rows)
+
+
+def _grasp_table(story: DemonstrationStory) -> tuple[Table, ...]:
+    found = story.demo.transfer
+    if found is None or not len(found.grasps):
+        return ()
+    verdict = found.grasps.verdicts.get(found.grasps.protocol)
+    rows = tuple(
+        (
+            i + 1,
+            found.origin[i],
+            round(float(found.similarity[i]), 3),
+            round(float(found.grasps.epsilon[i]), 3),
+            None if verdict is None else "held" if verdict.success[i] else "lost",
+            found.reasons[i],
+        )
+        for i in range(len(found.grasps))
+    )
+    return (
+        Table(
+            title="Transferred grasps",
+            columns=("no.", "origin", "similarity", "ε", "physics", "why it ranks there"),
+            rows=rows,
+        ),
+    )
+
+
+def _notes(story: DemonstrationStory) -> tuple[str, ...]:
+    notes = [] if story.demo.track is None else list(dict.fromkeys(story.demo.track.reasons))
+    if story.demo.transfer is not None and story.demo.transfer.reason:
+        notes.append(story.demo.transfer.reason)
+    return tuple(notes)

@@ -1,0 +1,129 @@
+"""The stages of a demonstration in words: what each came to, or why it failed."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from neuralgrasps.apply.demonstrate import Demonstration
+from neuralgrasps.apply.ordered_pick import place_of
+from neuralgrasps.evaluate.execute import Trial
+from neuralgrasps.report.demonstration_content import StageFigure
+
+_LENGTH_M = 0.252  # of the hand model at scale 1, wrist to middle fingertip
+
+STAGES = ("object", "detect", "joints", "size", "grasp", "transfer", "plan", "lift")
+"""In their order, as `Demonstration.stage` names them; the last two are of the robot."""
+TITLES = {
+    "object": "Object", "detect": "Hand", "joints": "Joints", "size": "Fit", "grasp": "Grasp",
+    "transfer": "Transfer", "plan": "Plan", "lift": "Lift",
+}  # fmt: skip
+
+
+def demonstration_stages(demo: Demonstration, trial: Trial | None, *, executed: bool) -> tuple[StageFigure, ...]:
+    """Every stage up to the lift, or to the transfer when nothing was to be carried out.
+
+    Args:
+        trial: the robot's, or None when it came to none. executed: it was asked for.
+    """
+    failed, reason = failed_stage(demo, trial, executed=executed)
+    names = STAGES if executed else STAGES[: STAGES.index("transfer") + 1]
+    at = names.index(failed) if failed in names else len(names)
+    out = []
+    for number, name in enumerate(names):
+        if number > at:
+            out.append(StageFigure(name=TITLES[name], verdict="not reached"))
+            continue
+        text = _TEXTS[name](demo) if name in _TEXTS else _robot_text(name, demo, trial)
+        if number == at:
+            out.append(StageFigure(name=TITLES[name], text=text, verdict="failed", reason=reason))
+        else:
+            out.append(StageFigure(name=TITLES[name], text=text))
+    return tuple(out)
+
+
+def failed_stage(demo: Demonstration, trial: Trial | None, *, executed: bool) -> tuple[str, str]:
+    """The stage that failed and why; both "" when none did."""
+    if demo.stage:
+        return demo.stage if demo.stage in STAGES else "detect", demo.reason
+    if not executed:
+        return "", ""
+    if trial is None:
+        return "plan", "nothing was tried."
+    first = trial.attempts[0]
+    if first.plan is None:
+        return "plan", first.reason or trial.detail
+    return ("", "") if trial.success_retry else ("lift", f"{trial.cause}: {trial.detail}")
+
+
+def _object_text(demo: Demonstration) -> str:
+    followed = demo.followed
+    if followed is None or followed.pose is None:
+        return "not found"
+    text = f"{100 * followed.pose.confidence:.0f} % sure, frame {followed.found_in + 1}"
+    return text if followed.lost_from is None else f"{text}; lost from frame {followed.lost_from + 1}"
+
+
+def _hand_text(demo: Demonstration) -> str:
+    track = demo.track
+    if track is None:
+        return "not found"
+    looked = sum(box is not None for box in track.boxes)
+    if not looked:
+        return f"in none of {len(track.boxes)} frames"
+    return f"{track.side}, found in {looked} of {len(track.boxes)} frames"
+
+
+def _joints_text(demo: Demonstration) -> str:
+    track = demo.track
+    seen = [] if track is None else [s for s in track.seen if s is not None]
+    if not seen:
+        return "not read"
+    weight = float(np.median([s.weight.mean() for s in seen]))
+    return f"21, mean weight {weight:.2f}, by {seen[0].source}"
+
+
+def _fit_text(demo: Demonstration) -> str:
+    track = demo.track
+    if track is None or not np.isfinite(track.scale):
+        return "not fitted"
+    fits = [f.cloud_rms_m for f in track.frames if f is not None and np.isfinite(f.cloud_rms_m)]
+    off = track.grasp.cloud_rms_m if track.grasp is not None else float(np.median(fits)) if fits else np.nan
+    near = f", {1e3 * off:.1f} mm off the points" if np.isfinite(off) else ""
+    return f"hand of {1e3 * _LENGTH_M * track.scale:.0f} mm{near}"
+
+
+def _grasp_text(demo: Demonstration) -> str:
+    track = demo.track
+    if track is None or track.grasp is None:
+        return "none"
+    touching = f": {', '.join(track.contacts)}" if track.contacts else ""
+    return f"frame {track.moment + 1} with {len(track.still)} fused{touching}"
+
+
+def _transfer_text(demo: Demonstration) -> str:
+    found = demo.transfer
+    if found is None or not len(found.grasps):
+        return "no grasp"
+    count = len(found.grasps)
+    return f"{count} grasp{'s' if count > 1 else ''}, similarity {found.similarity[0]:.2f}"
+
+
+_TEXTS = {
+    "object": _object_text, "detect": _hand_text, "joints": _joints_text, "size": _fit_text, "grasp": _grasp_text,
+    "transfer": _transfer_text,
+}  # fmt: skip
+
+
+def _robot_text(name: str, demo: Demonstration, trial: Trial | None) -> str:
+    attempt = None if trial is None else trial.attempts[0]
+    if trial is None or attempt is None or attempt.plan is None or attempt.pick is None:
+        return "none"
+    if name == "plan":
+        count = 0 if demo.grasps is None else len(demo.grasps)
+        place = place_of(attempt.plan.index, count) + 1 if count else 0
+        return f"grasp no. {place}, in {1e3 * attempt.pick.cpu_s:.0f} ms"
+    if trial.success_retry:
+        lifted = next(a for a in trial.attempts if a.success)
+        later = "" if trial.success else ", at the second attempt"
+        return f"raised by {1e3 * lifted.lifted_m:.0f} mm and held{later}"
+    return f"raised by {1e3 * attempt.lifted_m:.0f} mm"
