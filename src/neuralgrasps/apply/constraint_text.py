@@ -84,7 +84,7 @@ def parse_side_up(text: str) -> str:
     """The axis of a side that faces up: +z for top."""
     name = {"top": "+z", "bottom": "-z"}.get(text.strip(), text.strip())
     if name not in AXES:
-        raise unknown_name("side to face up", text.strip(), (*AXES, "top", "bottom"))
+        raise unknown_name("side", text.strip(), (*AXES, "top", "bottom"))
     return name
 
 

@@ -96,7 +96,7 @@ class GraspConstraints:
             if not 0 <= value < np.inf:
                 raise InputError(f"constraints: {name} is {value}; expected 0 or more, metres.")
         if self.side_up is not None and self.side_up not in AXES:
-            raise unknown_name("side to face up", self.side_up, AXES)
+            raise unknown_name("side", self.side_up, AXES)
         if self.X_WO is not None and np.shape(self.X_WO) != (4, 4):
             raise ShapeError(f"X_WO has shape {np.shape(self.X_WO)}; expected (4, 4).")
         self._check_surface()
@@ -154,8 +154,8 @@ class GraspConstraints:
             )
         if abs(cone.unit[2]) < 1 - 1e-9:
             raise InputError(
-                f"approach '{cone}' is not vertical, and which way the object stands on its table is not known; give "
-                "X_WO, or an axis in the object's frame."
+                f"approach '{cone}' is not vertical, and how the object is turned on its table is not known; give "
+                "an axis in the object's frame, or the object's pose (X_WO)."
             )
         return np.sign(cone.unit[2]) * self.up_O
 

@@ -20,6 +20,7 @@ AXES = {
 }
 SIDES = (*AXES, "top", "bottom", "side")
 _EDGE_M = 5e-4  # the rim of a region is kept to so much
+_ROUNDING_M = 1e-9
 _PIECE_M = 4e-3  # triangles are cut to about this size, so that few are near a hand
 _GROUP_M = 0.012
 
@@ -202,8 +203,8 @@ def _split(obj: ObjectModel, regions: Sequence[Region], up_O: np.ndarray) -> tup
         reach = np.linalg.norm(left - middle[:, None], axis=2).max(axis=1)
         depth = region_depths(middle, obj, regions, up_O=up_O)
         done = (reach <= _PIECE_M) & ((np.abs(depth) >= reach) | (reach <= _EDGE_M))
-        found[0].append(left[done & (depth <= 0)])
-        found[1].append(left[done & (depth > 0)])
+        found[0].append(left[done & (depth <= _ROUNDING_M)])
+        found[1].append(left[done & (depth > _ROUNDING_M)])
         left = _quartered(left[~done])
     return np.concatenate(found[0]), np.concatenate(found[1])
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -115,6 +117,8 @@ def transfer(
         constraints = GraspConstraints(obj=asked.obj, **wanted)
     result, stored, times = _timed(terminal, known, asked, target, config, constraints, seed)
     record = _record(asked, target, result, constraints, stored) | times
+    if not len(result.grasps) and constraints:
+        record["similarity_without_constraints"] = _without_constraints(asked, target, config, stored, seed)
     if len(result.grasps):
         _write(
             terminal,
@@ -155,6 +159,14 @@ def _timed(
         )  # fmt: skip
     times = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu, "compile_s": clock.seconds}
     return result, stored, times
+
+
+def _without_constraints(asked: Asked, hand: Hand, config: TransferConfig, known: GraspSet, seed: int) -> float | None:
+    """Similarity of the best known grasp, were there no constraints; None when there is none."""
+    from neuralgrasps.apply.transfer import transfer as carry_over
+
+    free = carry_over(asked.query, hand, asked.obj, known=known, config=replace(config, method="retrieve"), seed=seed)
+    return float(free.similarity[0]) if len(free.grasps) else None
 
 
 def _record(
@@ -248,8 +260,13 @@ def _show(terminal: Terminal, record: dict[str, Any]) -> None:
         )  # fmt: skip
         terminal.say("Similarity of the contact maps: 1 = same, 0 = as the farthest of the known grasps.")
     facts: list[tuple[str, Any]] = [("known grasps", record["known"])]
-    if record["oracle_similarity"] is not None:
-        facts.append(("best of these", f"{record['oracle_similarity']:.3f}"))
+    if math.isfinite(record["oracle_similarity"]):
+        facts.append(
+            (
+                "best of these allowed" if record["constraints"] else "best of these",
+                f"{record['oracle_similarity']:.3f}",
+            )
+        )
     facts += [("tried in physics", record["tried"])]
     facts += [("constraint", name) for name in record["constraints"]]
     facts.append(
@@ -260,8 +277,11 @@ def _show(terminal: Terminal, record: dict[str, Any]) -> None:
         terminal.say(f"Fewer than wanted: {record['reason']}.")
     if record["constraints_on_known"]:
         terminal.say(f"Known grasps: {record['constraints_on_known']}.")
-    if not rows and record["nearest_similarity"] == record["nearest_similarity"]:
+    if not rows and math.isfinite(record["nearest_similarity"]):
         terminal.say(f"The nearest that did not hold has similarity {record['nearest_similarity']:.3f}.")
+    if record.get("similarity_without_constraints") is not None:
+        best = record["similarity_without_constraints"]
+        terminal.say(f"Without the constraints there is a grasp of similarity {best:.3f}: loosen one of them.")
     for key, name in (("file", "Grasps"), ("report", "Page")):
         if key in record:
             terminal.say(f"{name}: {record[key]}")
