@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 NUMBERS_FILE, GRASPS_FILE, PLAN_FILE = "demonstration.json", "grasps.safetensors", "plan.yaml"
 _PAGE_BYTES = 24_000_000
 _FILM_SPEED = 2.0
+_STEPS = 3  # that drawing a page has
 
 
 def write_demonstrated(
@@ -75,10 +76,15 @@ def _write_page(
 
     story = replace(story, executions=_executions(record, film))
     hand, arm = story.hand.name, record["arm"]
+    done = iter(range(_STEPS))
+
+    def steps(text: str) -> None:
+        bar(next(done, _STEPS), _STEPS, text)
+
     content = demonstration_report(
         story,
         robot=hand if arm in (None, hand) else f"{arm} with {hand}",
-        progress=lambda text: bar(0, 1, text),
+        progress=steps,
         **about_this_run(terminal.command, int(record["seed"])),
     )
     make_parent(page)

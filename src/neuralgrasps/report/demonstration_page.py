@@ -78,12 +78,11 @@ def demonstration_report(
     say = progress or (lambda _: None)
     demo, name = story.demo, pretty_name(story.obj.name)
     figure = demonstration_figure(story, say)
-    say("grasps")
+    say("the robot's grasps")
     lists = () if demo.transfer is None else (shown_transfer(story),)
-    outcome = "picks it up the same way" if story.executed else "grasps that touch it alike"
     return DemoReport(
         title="Shown by a hand",
-        subtitle=f"A person grasps the {name} before a depth camera; {robot}: {outcome}.",
+        subtitle=f"A person grasps the {name} before a depth camera; {_outcome(story, robot)}.",
         command=command,
         machine=machine,
         seed=seed,
@@ -94,11 +93,18 @@ def demonstration_report(
         transferred=lists,
         executions=story.executions,
         times=tuple(StageTime(stage=stage, wall_s=s) for stage, s in demo.seconds.items()),
-        tables=(_stage_table(story.stages), *_grasp_table(story)),
+        tables=(_stage_table(story.stages),),
         notes=_notes(story),
         section_titles={"executions": "Execution", "numbers": "In numbers", "transferred": "Grasps of the robot"},
         section_texts={"executions": _EXECUTION_TEXT, "stages": _STAGES_TEXT, "transferred": _TRANSFER_TEXT},
     )
+
+
+def _outcome(story: DemonstrationStory, robot: str) -> str:
+    stopped = next((s.name.lower() for s in story.stages if s.verdict == "failed"), "")
+    if stopped:
+        return f"the way to {robot} ends at the stage '{stopped}'"
+    return f"{robot} lifts it by a grasp that touches it alike" if story.executed else f"{robot} can touch it alike"
 
 
 def demonstration_figure(story: DemonstrationStory, say: Progress) -> DemonstrationFigure:
@@ -108,14 +114,15 @@ def demonstration_figure(story: DemonstrationStory, say: Progress) -> Demonstrat
         say("the frame")
         shown = shown_frame(seen, demo)
         return DemonstrationFigure(stages=story.stages, close_ups=close_ups(story.frames[shown], seen.layers[shown]))
-    say("the strip")
+    say("the video")
     several = len(story.frames) > 1
+    track = track_figure(demo, story.obj)
     moment = shown_frame(seen, demo)
     figure = DemonstrationFigure(
         stages=story.stages,
-        frames=strip_pictures(seen) if several else (),
+        frames=strip_pictures(seen, None if track is None else track.gap_mm) if several else (),
         animation=moving_overlay(seen) if several else b"",
-        track=track_figure(demo, story.obj) if several else None,
+        track=track if several else None,
         close_ups=close_ups(story.frames[moment], seen.layers[moment]),
     )
     if demo.X_OH is None or demo.q is None or demo.human is None:
@@ -240,31 +247,6 @@ def _stage_table(stages: Sequence[StageFigure]) -> Table:
     words = {"ok": "OK", "failed": "FAILED", "not reached": "not reached"}
     rows = tuple((s.name, words[s.verdict], s.reason or s.text) for s in stages)
     return Table(title="Stages", columns=("stage", "verdict", "what it came to"), rows=rows)
-
-
-def _grasp_table(story: DemonstrationStory) -> tuple[Table, ...]:
-    found = story.demo.transfer
-    if found is None or not len(found.grasps):
-        return ()
-    verdict = found.grasps.verdicts.get(found.grasps.protocol)
-    rows = tuple(
-        (
-            i + 1,
-            found.origin[i],
-            round(float(found.similarity[i]), 3),
-            round(float(found.grasps.epsilon[i]), 3),
-            None if verdict is None else "held" if verdict.success[i] else "lost",
-            found.reasons[i],
-        )
-        for i in range(len(found.grasps))
-    )
-    return (
-        Table(
-            title="Transferred grasps",
-            columns=("no.", "origin", "similarity", "ε", "physics", "why it ranks there"),
-            rows=rows,
-        ),
-    )
 
 
 def _notes(story: DemonstrationStory) -> tuple[str, ...]:

@@ -57,8 +57,12 @@ def strip_indices(has_hand: np.ndarray, moment: int, count: int = STRIP) -> list
     return sorted({int(i) for i in np.round(np.linspace(first, last, count))})
 
 
-def strip_pictures(seen: Demonstrated, count: int = STRIP) -> tuple[Picture, ...]:
-    """Frames from the hand's entry to the grasp, with box, skeleton, fitted hand and object drawn over them."""
+def strip_pictures(seen: Demonstrated, gap_mm: np.ndarray | None = None, *, count: int = STRIP) -> tuple[Picture, ...]:
+    """Frames from the hand's entry to the grasp, with box, skeleton, fitted hand and object drawn over them.
+
+    Args:
+        gap_mm: (T,) from the hand to the object, nan where not known, for the captions.
+    """
     window = seen.window
     has_hand = np.array([layer.box is not None or layer.fitted is not None for layer in seen.layers])
     found = []
@@ -71,6 +75,12 @@ def strip_pictures(seen: Demonstrated, count: int = STRIP) -> tuple[Picture, ...
             (f"frame {index + 1}: {words}", _overlay(seen.frames[index], layers, window, _STRIP_SIZE, labels=False))
         )
     return tuple(found)
+
+
+def _distance_text(away_mm: float) -> str:
+    if not np.isfinite(away_mm):
+        return "hand fitted"
+    return f"{away_mm:.0f} mm away" if away_mm >= 1.0 else "touching"
 
 
 def moving_overlay(seen: Demonstrated) -> bytes:
@@ -137,8 +147,8 @@ def grasp_views(
         )
         for words, view in sides
     ]
-    alone = render_object(mesh.transformed(X_UO), vertex_values=values, size=_VIEW_SIZE)
-    return (*pictures, ("where the object is touched", alone))
+    alone = render_object(mesh.transformed(X_UO), vertex_values=values, size=_VIEW_SIZE, view=first)
+    return (*pictures, ("what the first side hides", alone))
 
 
 def as_person(hand: Hand) -> Hand:

@@ -8,6 +8,7 @@ from neuralgrasps.apply.demonstrate import Demonstration
 from neuralgrasps.apply.ordered_pick import place_of
 from neuralgrasps.evaluate.execute import Trial
 from neuralgrasps.report.demonstration_content import StageFigure
+from neuralgrasps.report.pose_page import percent_text
 
 _LENGTH_M = 0.252  # of the hand model at scale 1, wrist to middle fingertip
 
@@ -59,7 +60,7 @@ def _object_text(demo: Demonstration) -> str:
     followed = demo.followed
     if followed is None or followed.pose is None:
         return "not found"
-    text = f"{100 * followed.pose.confidence:.0f} % sure, frame {followed.found_in + 1}"
+    text = f"{percent_text(followed.pose.confidence)} sure, in frame {followed.found_in + 1}"
     return text if followed.lost_from is None else f"{text}; lost from frame {followed.lost_from + 1}"
 
 
@@ -96,8 +97,9 @@ def _grasp_text(demo: Demonstration) -> str:
     track = demo.track
     if track is None or track.grasp is None:
         return "none"
-    touching = f": {', '.join(track.contacts)}" if track.contacts else ""
-    return f"frame {track.moment + 1} with {len(track.still)} fused{touching}"
+    touching = f"; {', '.join(track.contacts)} touch" if track.contacts else ""
+    fused = f", {len(track.still)} frames fused" if len(track.still) > 1 else ""
+    return f"in frame {track.moment + 1}{fused}{touching}"
 
 
 def _transfer_text(demo: Demonstration) -> str:
