@@ -94,9 +94,10 @@ def still_runs(distance: np.ndarray, numbers: Sequence[int], *, within_m: float,
             between may be off.
         least: frames of a run.
     """
-    free, runs = np.ones(len(distance), bool), []
+    free = np.ones(len(distance), bool)
+    runs: list[StillRun] = []
     while True:
-        grown = [_grown(distance, free, start, within_m) for start in np.flatnonzero(free)]
+        grown = [_grown(distance, free, int(start), within_m) for start in np.flatnonzero(free)]
         best = max(grown, key=len, default=[])
         if len(best) < max(least, 1):
             return runs
@@ -134,7 +135,7 @@ def first_motion(X_CO: np.ndarray, frames: Sequence[int], *, moved_m: float) -> 
 
 
 def _grown(distance: np.ndarray, free: np.ndarray, start: int, within_m: float) -> list[int]:
-    run, missed = [int(start)], 0
+    run, missed = [start], 0
     for k in range(start + 1, len(distance)):
         if not free[k]:
             break

@@ -55,15 +55,21 @@ class HandVideo:
         side = side or self.side
         key = (number, side)
         if key not in self._seen:
-            box = self._box(number)
-            if self.reader is None or box is None:
-                self._seen[key] = None
-            else:
-                seen = self.reader.read(self.frames[number], of_side(box, side))
-                known = np.isfinite(seen.points_C).all(axis=1)
-                sure = known.sum() >= 6 and seen.weight[known].mean() >= _LEAST_WEIGHT
-                self._seen[key] = seen if sure else None
+            self._seen[key] = self._given(number, side) if self.reader is None else self._read(number, side)
         return self._seen[key]
+
+    def _given(self, number: int, side: Side) -> SeenJoints | None:
+        """Joints that were given for the other side, taken for this one."""
+        other = self._seen.get((number, "left" if side == "right" else "right"))
+        return None if other is None else replace(other, side=side)
+
+    def _read(self, number: int, side: Side) -> SeenJoints | None:
+        box = self._box(number)
+        if self.reader is None or box is None:
+            return None
+        seen = self.reader.read(self.frames[number], of_side(box, side))
+        known = np.isfinite(seen.points_C).all(axis=1)
+        return seen if known.sum() >= 6 and seen.weight[known].mean() >= _LEAST_WEIGHT else None
 
     def cloud(self, number: int, *, side: Side | None = None) -> np.ndarray:
         """(M, 3) the hand's measured points in a frame where it is seen; M = 0 elsewhere."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,17 +78,15 @@ def _take_joints(video: HandVideo, joints: Sequence[SeenJoints | None], side: Si
     coarse = set(coarse_frames(len(joints), config))
     for n, seen in given.items():
         box = joints_box(seen, video.frames[n].intrinsics)
-        if box is None or seen.side != video.side:
+        if box is None:
             continue
-        video.give(n, seen)
+        video.give(n, replace(seen, side=video.side))
         if n in coarse or len(given) < 3 * config.frames:
             video.boxes[n] = box
     if not video.boxes:
-        return f"the joints given lie outside of the images, or are not of a {video.side} hand."
+        return "the joints given lie outside of the images: are they of another resolution, or in other units?"
     if 0 < right < len(given):
-        video.notes.append(
-            f"the joints are of a right hand in {right} of {len(given)} frames, of a left one elsewhere."
-        )
+        video.notes.append(f"the joints are of a right hand in {right} of {len(given)} frames, else of a left one.")
     return _depth_trouble(video, config)
 
 
@@ -178,8 +176,8 @@ def _no_hand(frames: Sequence[Frame], config: LookConfig) -> str:
         z = float(np.median([np.median(f.depth[f.depth > 0]) for f in frames]))
         return (
             f"no hand was found in {len(frames)} frames: hardly anything lies {config.nearest_m:g} to "
-            f"{config.farthest_m:g} m from the camera (the median depth is {z:.2f} m). Move the camera nearer, or check "
-            "the depth scale."
+            f"{config.farthest_m:g} m from the camera (the median depth is {z:.2f} m). Move the camera nearer, or "
+            "check the depth scale."
         )
     lost = f" Only {100 * measured:.0f} % of the pixels have a depth." if measured < 0.5 else ""
     return (

@@ -9,7 +9,7 @@ import numpy as np
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
-from neuralgrasps.human.focal import FocalCheck, hand_focal, object_focal, out_of_sizes
+from neuralgrasps.human.focal import FocalCheck, hand_focal, misfit, object_focal, out_of_sizes
 from neuralgrasps.human.fuse import fused_fit, seen_share
 from neuralgrasps.human.grasp_moment import (
     StillRun,
@@ -31,9 +31,10 @@ from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.table import find_table
 
 _SURE_SIDE = 0.2  # mean vote of the frames, -0.5 to 0.5
+_OTHER: dict[Side, Side] = {"right": "left", "left": "right"}
 _SIZE_FRAMES = 8
 _RUNS = 4  # still phases looked at
-_MISFIT_M = 0.012  # median residual of a hand's points and joints that speaks against camera or joints
+_MISFIT_M = 0.009  # median `misfit` of the best frames that speaks against the camera or the joints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,33 +176,32 @@ def _table(frames: Sequence[Frame], table: Plane | None) -> Plane | None:
 
 
 def _decide_side(video: HandVideo, side: Side | None) -> None:
-    """By what the frames say; when they are unsure, the side whose hand fits better."""
-    if side is not None or video.reader is None:
-        video.side = side or video.side
+    """By what the frames say; when they are unsure, and for joints from elsewhere, the side whose hand fits better."""
+    if side is not None:
+        video.side = side
         return
-    vote = side_vote(list(video.boxes.values()))
-    video.side = "right" if vote >= 0 else "left"
-    if abs(vote) >= _SURE_SIDE:
-        return
-    numbers = sorted(video.boxes, key=lambda n: (-video.boxes[n].score, n))[:4]
-    misfit = {one: _misfit_of_side(video, numbers, one) for one in ("right", "left")}
-    video.side = min(misfit, key=lambda one: (misfit[one], one != video.side))
-    video.notes.append(f"the detector was not sure of the side; a {video.side} hand fits better.")
+    if video.reader is not None:
+        vote = side_vote(list(video.boxes.values()))
+        video.side = "right" if vote >= 0 else "left"
+        if abs(vote) >= _SURE_SIDE:
+            return
+    said, other = video.side, _OTHER[video.side]
+    numbers = sorted(video.boxes, key=lambda n: (-video.boxes[n].score, n))[:: max(1, len(video.boxes) // 6)][:6]
+    apart = {one: _misfit_of_side(video, numbers, one) for one in (said, other)}
+    if apart[other] < 0.9 * apart[said]:
+        video.side = other
+        video.notes.append(f"taken for a {said} hand at first, but a {other} one fits better.")
 
 
 def _misfit_of_side(video: HandVideo, numbers: Sequence[int], side: Side) -> float:
     """Median misfit over some frames of hands of one side, metres."""
-    misfit = []
+    apart = []
     for n in numbers:
         seen = video.see(n, side=side)
         if seen is not None:
             fitted = fit_hand(seen, video.cloud(n, side=side), side=side, scale=video.scale)
-            misfit.append(_misfit(fitted) / max(float(np.mean(seen.weight)), 0.05))
-    return float(np.median(misfit)) if misfit else np.inf
-
-
-def _misfit(fitted: FittedHand) -> float:
-    return float(np.hypot(np.nan_to_num(fitted.cloud_rms_m), np.nan_to_num(fitted.joint_rms_m)))
+            apart.append(misfit(fitted, video.cloud(n, side=side)) / max(float(np.mean(seen.weight)), 0.05))
+    return float(np.median(apart)) if apart else np.inf
 
 
 def _measure(video: HandVideo, coarse: Sequence[int]) -> str:
@@ -211,19 +211,18 @@ def _measure(video: HandVideo, coarse: Sequence[int]) -> str:
     shown = [s for s in seen if s is not None]
     if video.scale is None:
         video.scale = fit_size(shown, clouds, side=video.side, objs=[video.held(n) for n in best])
-    misfit = float(np.median([_misfit(f) for n in best if (f := video.fit(n)) is not None]))
-    if not out_of_sizes(video.scale) and misfit < _MISFIT_M:
+    apart = float(np.median([misfit(f, video.cloud(n)) for n in best if (f := video.fit(n)) is not None]))
+    if not out_of_sizes(video.scale) and apart < _MISFIT_M:
         return ""
-    hand, thing = hand_focal(shown, clouds, side=video.side), _object_focal(video)
-    if thing is not None and abs(np.log(thing.factor)) < 0.08:
-        hand = replace(hand, factor=1.0)  # the object's size is known, and it fits
-    check = thing if thing is not None and thing.factor != 1.0 else hand
-    if abs(np.log(check.factor)) > 0.12:
+    thing = _object_focal(video)
+    fits = thing is not None and abs(np.log(thing.factor)) < 0.08  # its size is known: no need to ask the hand
+    check = thing if fits or (thing is not None and thing.factor != 1.0) else hand_focal(shown, clouds, side=video.side)
+    if check is not None and abs(np.log(check.factor)) > 0.12:
         return _wrong_camera(video, check, thing)
     if out_of_sizes(video.scale):
         video.notes.append(f"the hand's size, {video.scale:.2f} of the model, is at the edge of what people have.")
-    if misfit >= _MISFIT_M:
-        video.notes.append(f"the hand model fits its points and joints only to {1e3 * misfit:.0f} mm.")
+    if apart >= _MISFIT_M:
+        video.notes.append(f"the hand model fits its points and joints only to {1e3 * apart:.0f} mm.")
     return ""
 
 
