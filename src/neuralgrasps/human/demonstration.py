@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -38,6 +39,8 @@ UNITS_PER_METRE = 10000
 """Of the stored depth: whole tenths of a millimetre."""
 SIZES = (0.70, 0.74, 0.78, 0.82, 0.86, 0.90)
 """Scales of hands that are drawn where none is given: few, so that their grasps are made once."""
+
+_SAME_HEIGHT_M = 0.008  # resting poses whose centres of mass are this near in height count as alike
 
 GraspKind = Literal["any", "power", "precision"]
 
@@ -189,11 +192,11 @@ def record_demonstration(
 def _staged(obj: ObjectModel, config: DemonstrationConfig, rng: np.random.Generator) -> tuple[_Act, tuple[str, ...]]:
     """A grasp with a way to it; where the drawn size and pose give none, others are tried."""
     side: Side = config.side or ("right" if rng.random() < 0.5 else "left")
-    planes = resting_planes(obj)[:6]
+    planes = resting_planes(obj)
     sizes = [config.scale] if config.scale is not None else [SIZES[i] for i in rng.permutation(len(SIZES))[:3]]
     notes: list[str] = []
     for scale in sizes:
-        for k in rng.permutation(len(planes)):
+        for k in _poses_in_turn(obj, planes, rng):
             people = person_grasps(obj, scale=scale, side=side, plane_O=planes[k])
             act = _with_path(obj, people, planes[k], side, scale, config.kind, rng)
             if act is not None:
@@ -204,6 +207,19 @@ def _staged(obj: ObjectModel, config: DemonstrationConfig, rng: np.random.Genera
         f"no person's grasp of '{obj.name}' was found for a {side} hand: {'; '.join(notes)}. Choose another object, "
         "size, side or kind of grasp."
     )
+
+
+def _poses_in_turn(obj: ObjectModel, planes: Sequence[Plane], rng: np.random.Generator) -> list[int]:
+    """Resting poses in the order they are tried: one of each height, in random order, then others of the same heights.
+
+    A bottle that stands is as likely as one that lies, however many sides it can lie on.
+    """
+    heights: dict[int, list[int]] = {}
+    for k, plane in enumerate(planes):
+        heights.setdefault(round(plane.height(obj.com_O) / _SAME_HEIGHT_M), []).append(k)
+    groups = [list(rng.permutation(ks)[:2]) for ks in heights.values()]
+    order = rng.permutation(len(groups))
+    return [int(groups[g][n]) for n in range(2) for g in order if n < len(groups[g])]
 
 
 def _with_path(
@@ -264,9 +280,9 @@ def _filmed(
         config.width, config.height,
     )  # fmt: skip
     moving = (body.mesh, obj.mesh, skin, sleeve)
-    X_WC, _ = choose_camera(
-        rng, intrinsics=intrinsics, person=person, hand_W=joints_W[motion.grasp_frame].mean(axis=0),
-        drawn=list(zip(moving, posed(motion.grasp_frame), strict=True)), least_share=config.least_share,
+    X_WC = choose_camera(
+        rng, intrinsics=intrinsics, person=person, hand_W=joints_W[motion.grasp_frame].mean(axis=0), meshes=moving,
+        moments=[posed(motion.grasp_frame), posed(len(motion.q) - 1)], least_share=config.least_share,
     )  # fmt: skip
     wall = bool(rng.random() < 0.5) if config.wall is None else config.wall
     stay = surroundings(rng, X_WC=X_WC, person=person, clutter=config.clutter, wall=wall)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neuralgrasps.geometry.camera import Intrinsics, look_at
+from neuralgrasps.geometry.camera import Intrinsics, look_at, project
 from neuralgrasps.geometry.mesh import Mesh, box_mesh, cylinder_mesh
 from neuralgrasps.geometry.raster import NEAR_M, raster_labels
 from neuralgrasps.hands.hand import Hand
@@ -22,6 +22,7 @@ OBJECTS = ((206, 84, 52), (222, 178, 48), (72, 142, 84), (72, 118, 196), (168, 8
 TABLES = ((172, 140, 104), (206, 200, 188), (128, 96, 72), (150, 156, 162))
 WALLS = ((222, 218, 208), (182, 192, 198), (206, 196, 176))
 _SEGMENTS = 16
+_CAMERAS = 24  # places that are tried
 _ALONE_PAD = 0.5  # of the image's size on either side: how far out the unhidden hand is counted
 
 
@@ -99,51 +100,66 @@ def choose_camera(
     intrinsics: Intrinsics,
     person: float,
     hand_W: np.ndarray,
-    drawn: Sequence[tuple[Mesh, np.ndarray]],
+    meshes: Sequence[Mesh],
+    moments: Sequence[Sequence[np.ndarray]],
     least_share: float,
-) -> tuple[np.ndarray, float]:
-    """A camera 0.5 to 1 m from the object, not behind the person, from which the hand is well seen at the grasp.
+) -> np.ndarray:
+    """A camera 0.5 to 1 m from the object, not behind the person, that sees the hand, and some of the object.
 
     Args:
-        person: azimuth from which the arm comes, rad. hand_W: (3,) middle of the hand.
-        drawn: meshes in W with their vertices, the hand first: what hides what.
-        least_share: of the hand that is wanted to be visible; where no camera tried sees that much, the best is taken.
+        person: azimuth from which the arm comes, rad. hand_W: (3,) middle of the hand at the grasp.
+        meshes: what hides what: the hand, the object, then others.
+        moments: vertices (V, 3) of the meshes in W at times that are to be seen, the grasp first.
+        least_share: of the hand that is wanted to be visible, and a third of it of the object at the grasp; where no
+            camera tried sees that much, the one that comes nearest is taken.
     Returns:
-        X_WC (4, 4) and the share that it sees.
-    """  # fmt: skip
-    small = Intrinsics(intrinsics.fx / 4, intrinsics.fy / 4, intrinsics.cx / 4, intrinsics.cy / 4, 160, 120)
-    best, best_share = np.eye(4), -1.0
-    for _ in range(24):
+        X_WC (4, 4).
+    """
+    k = intrinsics
+    small = Intrinsics(k.fx / 4, k.fy / 4, k.cx / 4, k.cy / 4, k.width // 4, k.height // 4)
+    best, best_score = np.eye(4), -1.0
+    for _ in range(_CAMERAS):
         azimuth = person + rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(45.0, 180.0))
         height, distance = np.radians(rng.uniform(22.0, 62.0)), rng.uniform(0.5, 0.95)
         toward = np.array([np.cos(azimuth) * np.cos(height), np.sin(azimuth) * np.cos(height), np.sin(height)])
         aim = 0.5 * hand_W + 0.03 * rng.standard_normal(3)
         X_WC = look_at(aim + distance * toward, aim)
-        share = visible_share(*_labels(drawn, X_WC, small))
-        if share > best_share:
-            best, best_share = X_WC, share
-        if best_share >= least_share:
+        score = np.inf
+        for time, vertices_W in enumerate(moments):
+            drawn = list(zip(vertices_W, (m.faces for m in meshes), strict=True))
+            seen = _drawn(drawn, X_WC, small)
+            score = min(score, visible_share(seen == 0, alone_mask(*drawn[0], X_WC, small)))
+            if time == 0:
+                score = min(score, 3.0 * visible_share(seen == 1, alone_mask(*drawn[1], X_WC, small)))
+        if score > best_score:
+            best, best_score = X_WC, score
+        if best_score >= least_share:
             break
-    return best, best_share
+    return best
 
 
 def visible_share(seen: np.ndarray, alone: np.ndarray) -> float:
-    """Seen pixels of the hand over those it would cover in a larger image with nothing before it; 0 when none."""
+    """Seen pixels of a thing over those it would cover in a larger image with nothing before it; 0 when none."""
     whole = int(alone.sum())
     return min(float(seen.sum()) / whole, 1.0) if whole else 0.0
 
 
 def alone_mask(vertices_W: np.ndarray, faces: np.ndarray, X_WC: np.ndarray, k: Intrinsics) -> np.ndarray:
-    """Pixels (bool) that a mesh covers with nothing before it, in an image twice as wide and high about this one."""
-    du, dv = int(_ALONE_PAD * k.width), int(_ALONE_PAD * k.height)
-    wide = Intrinsics(k.fx, k.fy, k.cx + du, k.cy + dv, k.width + 2 * du, k.height + 2 * dv)
-    return _drawn([(vertices_W, faces)], X_WC, wide) == 0
+    """Pixels (bool) that a mesh covers with nothing before it, seen or not: an image cut out about it.
 
-
-def _labels(drawn: Sequence[tuple[Mesh, np.ndarray]], X_WC: np.ndarray, k: Intrinsics) -> tuple[np.ndarray, np.ndarray]:
-    seen = _drawn([(vertices, mesh.faces) for mesh, vertices in drawn], X_WC, k) == 0
-    mesh, vertices = drawn[0]
-    return seen, alone_mask(vertices, mesh.faces, X_WC, k)
+    It reaches half the image's size beyond the image on every side.
+    """
+    X_CW = np.linalg.inv(X_WC)
+    points_C = vertices_W @ X_CW[:3, :3].T + X_CW[:3, 3]
+    uv = project(points_C, k)
+    if not np.isfinite(uv).any():
+        return np.zeros((1, 1), bool)  # behind the camera
+    reach = np.array([k.width, k.height])
+    low = np.floor(np.clip(np.nanmin(uv, axis=0), -_ALONE_PAD * reach, (1 + _ALONE_PAD) * reach)).astype(int)
+    high = np.ceil(np.clip(np.nanmax(uv, axis=0), -_ALONE_PAD * reach, (1 + _ALONE_PAD) * reach)).astype(int)
+    width, height = np.maximum(high - low + 1, 1)
+    window = Intrinsics(k.fx, k.fy, k.cx - low[0], k.cy - low[1], int(width), int(height))
+    return _drawn([(vertices_W, faces)], X_WC, window) == 0
 
 
 def _drawn(meshes: Sequence[tuple[np.ndarray, np.ndarray]], X_WC: np.ndarray, k: Intrinsics) -> np.ndarray:

@@ -157,16 +157,17 @@ def _shade(depth, face, owners, normals, colours, background, X_WC, k, light, X_
             far = np.sqrt(lx * lx + ly * ly + lz * lz)
             sun = max((nx * lx + ny * ly + nz * lz) / far, 0.0)
             if sun > 0.0:
+                bias = 0.003 + 0.004 / (sun + 0.15)  # a surface along the light spans more depth per pixel
                 qx = X_LW[0, 0] * px + X_LW[0, 1] * py + X_LW[0, 2] * pz + X_LW[0, 3]
                 qy = X_LW[1, 0] * px + X_LW[1, 1] * py + X_LW[1, 2] * pz + X_LW[1, 3]
                 qz = X_LW[2, 0] * px + X_LW[2, 1] * py + X_LW[2, 2] * pz + X_LW[2, 3]
                 su, sv = int(np.rint(qx / qz * focal + half)), int(np.rint(qy / qz * focal + half))
                 if 1 <= su < by_light.shape[1] - 1 and 1 <= sv < by_light.shape[0] - 1:
-                    lit = 0
-                    for i in range(-1, 2):
-                        for j in range(-1, 2):
-                            lit += by_light[sv + i, su + j] > qz - 0.006
-                    sun *= lit / 9.0
+                    lit = 1.0 * (by_light[sv, su] > qz - bias)
+                    for i in range(-1, 2, 2):
+                        for j in range(-1, 2, 2):
+                            lit += by_light[sv + i, su + j] > qz - bias
+                    sun *= lit / 5.0
             bright = 0.38 + 0.14 * (0.5 + 0.5 * nz) + 0.12 * max(facing, 0.0) + 0.48 * sun
             index[v, u] = owners[f]
             for c in range(3):

@@ -11,8 +11,8 @@ from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.raster import rasterise
 from neuralgrasps.seeds import child_rng
+from neuralgrasps.sim.camera_kernels import mark_edges, mark_lit, measure, wander, write_loss
 
-_EDGE_M = 0.008  # neighbours farther apart than this, and than their slopes explain, lie on two surfaces
 _WAVES = 4  # of the smooth bias
 _WAVE_WIDTHS = (0.4, 1.2)  # their lengths, image widths
 
@@ -112,71 +112,39 @@ def sense_depth(
     lit = np.ones(depth.shape, bool)
     if noise is None:
         return depth, lit
+    depth = np.ascontiguousarray(depth, np.float64)
     if noise.baseline_m:
-        lit = _lit(depth, intrinsics, noise.baseline_m)
+        mark_lit(depth, float(intrinsics.fx) * noise.baseline_m, lit)
     return _sense(depth, lit, intrinsics, noise, seed), lit
 
 
 def _sense(depth: np.ndarray, lit: np.ndarray, intrinsics: Intrinsics, noise: DepthNoise, seed: int) -> np.ndarray:
     """What the sensor reports for exact depths (h, w); 0 = nothing."""
     rng = child_rng(seed, "depth noise")
-    beside, across = _depth_edges(depth)
-    loss = np.where(
-        beside, noise.edge_dropout, noise.grazing_dropout * _edge_on(depth, intrinsics) ** noise.grazing_power
-    )
+    shape = depth.shape
+    beside, across, loss = np.zeros(shape, bool), np.zeros(shape), np.empty(shape)
+    mark_edges(depth, beside, across)
+    write_loss(
+        depth, beside, float(intrinsics.fx), float(intrinsics.fy), noise.edge_dropout, noise.grazing_dropout,
+        noise.grazing_power, loss,
+    )  # fmt: skip
     seen = lit & (depth > 0)
     if noise.flying:
         depth = _fly(depth, beside & (across > 0), across, noise.flying, child_rng(seed, "flying pixels"))
     if noise.lateral_px:
-        source = _jitter(depth.shape, noise.lateral_px, child_rng(seed, "lateral noise"))
-        depth, loss, seen = (image.ravel()[source] for image in (depth, loss, seen))
-    out = depth + rng.standard_normal(depth.shape) * np.hypot(noise.axial_m * depth**2, noise.white_m)
+        normals = child_rng(seed, "lateral noise").standard_normal((2, *shape))
+        exact = (depth, loss, seen)
+        depth, loss, seen = np.empty(shape), np.empty(shape), np.empty(shape, bool)
+        wander(normals, noise.lateral_px, *exact, depth, loss, seen)
+    normals, bias = rng.standard_normal(shape), np.zeros((0, 0))
     if noise.scale_error or noise.bias_m:
-        out = out * (1.0 + noise.scale_error) + _smooth_field(depth.shape, child_rng(seed, "bias")) * noise.bias_m
-    if noise.step_m > 0:
-        step = np.maximum(noise.step_m * depth**2, 1e-6)
-        out = np.round(out / step) * step
-    lost = rng.random(depth.shape) < loss
-    return np.where(seen & ~lost, np.maximum(out, 0.0), 0.0)
-
-
-def _edge_on(depth: np.ndarray, intrinsics: Intrinsics) -> np.ndarray:
-    """Sine of the angle between the view and the surface's normal, from the slope of depth over the pixels."""
-    slope_y, slope_x = np.gradient(depth)
-    square = ((slope_x * intrinsics.fx) ** 2 + (slope_y * intrinsics.fy) ** 2) / np.maximum(depth, 1e-6) ** 2
-    return np.sqrt(square / (1.0 + square))
-
-
-def _depth_edges(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels beside a depth edge (h, w) bool, and the depth on its other side (0 = none, or nothing there).
-
-    The inverse depth of a plane is linear over the image, so that a step there that is twice that of the neighbouring
-    pixels is no slope, however steep.
-    """
-    beside, across = np.zeros(depth.shape, bool), np.zeros(depth.shape)
-    for z, mark, other in ((depth.T, beside.T, across.T), (depth, beside, across)):  # rows last: they win
-        inverse = np.divide(1.0, z, out=np.zeros(z.shape), where=z > 0)
-        step = np.abs(np.diff(inverse, axis=1))
-        slope = np.minimum(
-            np.pad(step[:, :-1], ((0, 0), (1, 0)), mode="edge"), np.pad(step[:, 1:], ((0, 0), (0, 1)), mode="edge")
-        )
-        edge = (np.abs(np.diff(z, axis=1)) > _EDGE_M) & (step > 2.0 * slope)
-        mark[:, :-1] |= edge
-        mark[:, 1:] |= edge
-        np.copyto(other[:, :-1], z[:, 1:], where=edge)
-        np.copyto(other[:, 1:], z[:, :-1], where=edge)
-    return beside, across
-
-
-def _lit(depth: np.ndarray, intrinsics: Intrinsics, baseline_m: float) -> np.ndarray:
-    """Pixels that a projector at (baseline_m, 0, 0) of the camera frame sees too.
-
-    Its column of a pixel is u - fx * baseline / z. Along a row that no surface hides it grows; where a pixel further
-    right has a smaller one, a nearer surface stands in between.
-    """
-    inverse = np.divide(1.0, depth, out=np.zeros(depth.shape), where=depth > 0)
-    column = np.arange(depth.shape[1]) - intrinsics.fx * baseline_m * inverse
-    return column <= np.minimum.accumulate(column[:, ::-1], axis=1)[:, ::-1]
+        bias = _smooth_field(shape, child_rng(seed, "bias")) * noise.bias_m
+    out = np.empty(shape)
+    measure(
+        depth, normals, noise.axial_m, noise.white_m, bias, 1.0 + noise.scale_error, noise.step_m, rng.random(shape),
+        loss, seen, out,
+    )  # fmt: skip
+    return out
 
 
 def _fly(
@@ -190,14 +158,6 @@ def _fly(
     out = depth.copy()
     out[row, column] = (1.0 - weight) * depth[row, column] + weight * across[row, column]
     return out
-
-
-def _jitter(shape: tuple[int, int], deviation_px: float, rng: np.random.Generator) -> np.ndarray:
-    """(h, w) flat index of the pixel whose ray each pixel measures."""
-    shift = np.rint(rng.standard_normal((2, *shape)) * deviation_px).astype(np.int64)
-    row = np.clip(np.arange(shape[0])[:, None] + shift[0], 0, shape[0] - 1)
-    column = np.clip(np.arange(shape[1]) + shift[1], 0, shape[1] - 1)
-    return row * shape[1] + column
 
 
 def _smooth_field(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
