@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.hands.packed import PackedHand, hand_distance_many, pack_shapes
 from neuralgrasps.human.hand_fit import fit_hand, fit_size
-from neuralgrasps.human.seen import FittedHand, SeenJoints, Side
-from neuralgrasps.human.skeleton import LARGEST, SMALLEST, human_hand
+from neuralgrasps.human.hand_misfit import misfit
+from neuralgrasps.human.seen import SeenJoints, Side
+from neuralgrasps.human.skeleton import LARGEST, SMALLEST
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.track import track_pose
@@ -21,7 +20,6 @@ FACTORS = (0.55, 0.65, 0.75, 0.87, 1.0, 1.15, 1.33, 1.55, 1.8)
 """Focal lengths tried, times the given one."""
 
 _CLEAR = 0.8  # another focal length must lower the residual to this share of the given one's
-_CUT_M = 0.015
 _EDGE = 0.01  # a size so near to the smallest or largest has run out of the range
 
 
@@ -63,26 +61,6 @@ def hand_focal(seen: Sequence[SeenJoints], clouds: Sequence[np.ndarray], *, side
         apart = [misfit(f, cloud) for f, cloud in zip(fits, points, strict=True)]
         cost[factor] = float(np.median(apart)) * (1.15 if out_of_sizes(scale) else 1.0)
     return _check(cost)
-
-
-def misfit(fitted: FittedHand, cloud_C: np.ndarray) -> float:
-    """How badly a fitted hand explains what was seen: mean distance of the points (M, 3), each cut at 15 mm, metres.
-
-    The joints' errors count a third: they may all be off in the same way.
-    """
-    apart = _CUT_M
-    if len(cloud_C):
-        out = np.empty(len(cloud_C))
-        X_CH = fitted.X_CH.copy()
-        X_CH[:3, 3] /= fitted.scale
-        hand_distance_many(_shapes(fitted.side), X_CH, fitted.q, cloud_C / fitted.scale, out)
-        apart = float(np.minimum(fitted.scale * np.abs(out), _CUT_M).mean())
-    return float(np.hypot(apart, np.nan_to_num(fitted.joint_rms_m) / 3.0))
-
-
-@cache
-def _shapes(side: Side) -> PackedHand:
-    return pack_shapes(human_hand(side))
 
 
 def object_focal(frame: Frame, obj: ObjectModel, X_CO: np.ndarray) -> FocalCheck | None:

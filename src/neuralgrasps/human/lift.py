@@ -9,8 +9,9 @@ from functools import cache
 import numpy as np
 
 from neuralgrasps.errors import InputError, check_shape
-from neuralgrasps.human.hand_cloud import PALM
+from neuralgrasps.human.hand_cloud import PALM, hand_cloud
 from neuralgrasps.human.hand_fit import fit_hand
+from neuralgrasps.human.hand_misfit import misfit
 from neuralgrasps.human.seen import SeenJoints, Side
 from neuralgrasps.human.skeleton import BONES, NUM_JOINTS, SMALLEST, human_hand, joint_points
 from neuralgrasps.perception.frame import Frame
@@ -85,14 +86,27 @@ def lift_joints(
 def lift_video(
     joints: Sequence[PictureJoints | None], frames: Sequence[Frame], *, scale: float | None = None
 ) -> list[SeenJoints | None]:
-    """`lift_joints` of the frames of a video, which show one hand: its side is that of most frames where not known."""
+    """`lift_joints` of the frames of a video that shows one hand.
+
+    Where its side is not said, the one is taken whose hand explains joints and measured points of some frames better.
+    """
     pairs = list(zip(joints, frames, strict=True))
-    open_ = [(j, f) for j, f in pairs if j is not None and not j.side_known and j.relative is None]
-    some = [lift_joints(j, f, scale=scale) for j, f in open_[:: max(1, len(open_) // _VOTES)]]
-    right = [s.side == "right" for s in some if s is not None]
-    side: Side = "right" if 2 * sum(right) >= len(right) else "left"
+    some = [(j, f) for j, f in pairs if j is not None and not j.side_known and j.relative is None]
+    some = some[:: max(1, len(some) // _VOTES)]
+    sides: tuple[Side, ...] = ("right", "left")
+    apart = {side: [_side_misfit(replace(j, side=side, side_known=True), f, scale) for j, f in some] for side in sides}
+    side = min(sides, key=lambda one: float(np.sum(apart[one])))
     known = [j if j is None or j.side_known else replace(j, side=side, side_known=True) for j in joints]
     return [None if j is None else lift_joints(j, f, scale=scale) for j, f in zip(known, frames, strict=True)]
+
+
+def _side_misfit(joints: PictureJoints, frame: Frame, scale: float | None) -> float:
+    """How badly a hand of the joints' side explains them and the points near them, metres."""
+    seen = lift_joints(joints, frame, scale=scale)
+    if seen is None:
+        return 0.0
+    cloud = hand_cloud(frame, seen)
+    return misfit(fit_hand(seen, cloud, side=joints.side, scale=scale or _SIZE), cloud)
 
 
 def _with_posture(

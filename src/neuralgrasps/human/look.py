@@ -10,7 +10,7 @@ import numpy as np
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.human.hand_video import HandVideo
 from neuralgrasps.human.seen import HandBox, SeenJoints, Side
-from neuralgrasps.human.sighting import HandFinder, HandPath, box_depth, joints_box, linked_paths
+from neuralgrasps.human.sighting import HandFinder, BoxPath, box_depth, joints_box, linked_paths
 from neuralgrasps.perception.frame import Frame
 
 _LEAST_MEASURED = 0.2  # share of the pixels in the middle of the hand's boxes that must have a depth
@@ -90,10 +90,10 @@ def _take_joints(video: HandVideo, joints: Sequence[SeenJoints | None], side: Si
     return _depth_trouble(video, config)
 
 
-def _chosen_path(video: HandVideo, paths: list[HandPath], side: Side | None) -> tuple[HandPath, list[HandPath]]:
+def _chosen_path(video: HandVideo, paths: list[BoxPath], side: Side | None) -> tuple[BoxPath, list[BoxPath]]:
     """The path to follow and the others: of the wished side, and the nearest to the object where it is known."""
 
-    def rank(path: HandPath) -> tuple[float, float]:
+    def rank(path: BoxPath) -> tuple[float, float]:
         other = sum(b.side != side and b.side_score > 0.7 for b in path.boxes.values()) if side else 0
         worth = path.score * (0.1 if 2 * other > len(path.boxes) else 1.0)
         near = _object_distance(video, path)
@@ -106,7 +106,7 @@ def _chosen_path(video: HandVideo, paths: list[HandPath], side: Side | None) -> 
     return ordered[0], rest
 
 
-def _rival(first: HandPath, rest: Sequence[HandPath]) -> HandPath | None:
+def _rival(first: BoxPath, rest: Sequence[BoxPath]) -> BoxPath | None:
     """Another hand that is there at the same time for long, and about as surely."""
     for path in rest:
         common = set(first.boxes) & set(path.boxes)
@@ -117,12 +117,12 @@ def _rival(first: HandPath, rest: Sequence[HandPath]) -> HandPath | None:
     return None
 
 
-def _both_hold(video: HandVideo, first: HandPath, rival: HandPath) -> bool:
+def _both_hold(video: HandVideo, first: BoxPath, rival: BoxPath) -> bool:
     """Whether it cannot be told by the object which of two hands is meant."""
     return (_object_distance(video, first) < _HOLDING_M) == (_object_distance(video, rival) < _HOLDING_M)
 
 
-def _joined(first: HandPath, rest: Sequence[HandPath]) -> dict[int, HandBox]:
+def _joined(first: BoxPath, rest: Sequence[BoxPath]) -> dict[int, HandBox]:
     """The boxes of a path, and of others that are of no frame of it: the same hand, lost for a while."""
     boxes = dict(first.boxes)
     for path in rest:
@@ -131,7 +131,7 @@ def _joined(first: HandPath, rest: Sequence[HandPath]) -> dict[int, HandBox]:
     return dict(sorted(boxes.items()))
 
 
-def _object_distance(video: HandVideo, path: HandPath) -> float:
+def _object_distance(video: HandVideo, path: BoxPath) -> float:
     """Least distance of the middle of a path's boxes to the object's surface, about, metres; inf where not known."""
     least = np.inf
     for n, box in path.boxes.items():

@@ -30,7 +30,7 @@ class JointSource(Protocol):
 
 
 @dataclass(slots=True, kw_only=True)
-class HandPath:
+class BoxPath:
     """One hand followed through some frames: its boxes by frame number."""
 
     boxes: dict[int, HandBox]
@@ -45,20 +45,20 @@ class HandPath:
         return sum(box.score for box in self.boxes.values())
 
 
-def linked_paths(found: dict[int, Sequence[HandBox]], *, least_score: float) -> list[HandPath]:
+def linked_paths(found: dict[int, Sequence[HandBox]], *, least_score: float) -> list[BoxPath]:
     """Boxes of several frames as hands followed over time, the surest first.
 
     A box goes on with the path whose last box is nearest, by the distance of centres and of sizes in widths of the
     box; two boxes of a frame that overlap by half are one hand.
     """
-    paths: list[HandPath] = []
+    paths: list[BoxPath] = []
     for number in sorted(found):
         taken: set[int] = set()
         for box in distinct([b for b in found[number] if b.score >= least_score]):
             free = [k for k in range(len(paths)) if k not in taken]
             near = min(free, key=lambda k: _apart(paths[k].last, box), default=None)
             if near is None or _apart(paths[near].last, box) > 1.5:
-                paths.append(HandPath(boxes={}))
+                paths.append(BoxPath(boxes={}))
                 near = len(paths) - 1
             paths[near].boxes[number] = box
             taken.add(near)

@@ -9,7 +9,7 @@ import numpy as np
 
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
-from neuralgrasps.human.focal import FocalCheck, hand_focal, misfit, object_focal, out_of_sizes
+from neuralgrasps.human.focal import FocalCheck, hand_focal, object_focal, out_of_sizes
 from neuralgrasps.human.fuse import fused_fit, seen_share
 from neuralgrasps.human.grasp_moment import (
     StillRun,
@@ -22,6 +22,7 @@ from neuralgrasps.human.grasp_moment import (
 )
 from neuralgrasps.human.hand_cloud import CloudConfig
 from neuralgrasps.human.hand_fit import fit_hand, fit_size
+from neuralgrasps.human.hand_misfit import misfit
 from neuralgrasps.human.hand_video import HandVideo, object_poses
 from neuralgrasps.human.look import LookConfig, look
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
