@@ -233,7 +233,7 @@ class _Transfer:
         def allows(X_OH: np.ndarray, rows: np.ndarray) -> np.ndarray:
             return self.allows(X_OH, grasps.q[rows], grasps.q_pregrasp[rows])
 
-        wanted = count or max(config.count, 2 * config.search.seeds)
+        wanted = count or max(config.count, 2 * config.search.starts)
         return rank_known(
             self.pair, self.query, self.full, self.known, count=wanted, turn=turn and len(self.pair.turned) > 1,
             allows=allows,
@@ -269,7 +269,7 @@ class _Transfer:
             self._push(float(found.difference[i]), 0, item)
 
     def _starts(self, ranked: Ranked | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        seeds = self.config.search.seeds
+        seeds = self.config.search.starts
         X, q = np.zeros((0, 4, 4)), np.zeros((0, self.hand.num_dofs))
         rows = turns = np.zeros(0, np.int64)
         if ranked is not None:

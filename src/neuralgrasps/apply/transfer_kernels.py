@@ -31,6 +31,7 @@ _OPENINGS = (0.0, 1.0, 2.0, 4.0, 8.0)  # steps that a hand which overlaps the ob
 _BACKS = 6
 _MOST_BACK_M = 0.03
 _GAP_M = 5.0e-4
+_CURLED = 1.2  # a hand this much worse may still come below the limit when its idle fingers open
 
 
 class Target(NamedTuple):
@@ -107,11 +108,11 @@ def _make_room(pair, hands, X_OH, q, X_HL, scratch):  # type: ignore[no-untyped-
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def search_starts(pair, target, hands, limit, X_OH, q, difference, quality, outcome):  # type: ignore[no-untyped-def]
+def search_starts(pair, target, hands, limit, least_epsilon, X_OH, q, difference, quality, outcome):  # type: ignore[no-untyped-def]
     """Close N hands from their starts, compare their contact maps, and judge those that come nearer than `limit`.
 
     `X_OH` (N, 4, 4) and `q` (N, J) become the closed hands'. `difference` (N,): of the contact maps, inf for hands that
-    could not close; `quality` (N,): epsilon, 0 unless the outcome is VALID; `outcome` (N,): of `assess`, or FAR.
+    could not close; `quality` (N,): epsilon, 0 unless the outcome is VALID, and above `least_epsilon` then; `outcome` (N,): of `assess`, or FAR.
     """
     scratch = new_scratch(pair)
     distance, q_start, idle = np.empty(target.points.shape[0]), np.empty(q.shape[1]), np.empty(q.shape[1], np.bool_)
@@ -128,20 +129,25 @@ def search_starts(pair, target, hands, limit, X_OH, q, difference, quality, outc
         if count == 0:
             outcome[i] = FEW_CONTACTS
             continue
+        difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], distance)
+        if difference[i] >= limit * (1.0 if pair.is_jaw else _CURLED):
+            outcome[i] = FAR
+            continue
+        epsilon = grasp_epsilon(pair, points, normals, count, wrenches, scratch.quality)
+        if epsilon <= least_epsilon:
+            outcome[i] = NO_FORCE_CLOSURE
+            continue
         if not pair.is_jaw:
             idle[:] = False
             relax_idle(
                 pair.values, pair.origin, pair.inv_spacing, pair.packed, pair.clusters, pair.closing, hands.q_open,
                 pair.threshold, pair.max_penetration, X_OH[i], q[i], X_HL, idle,
             )  # fmt: skip
-        difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], distance)
-        if difference[i] >= limit:
-            outcome[i] = FAR
-            continue
-        epsilon = grasp_epsilon(pair, points, normals, count, wrenches, scratch.quality)
-        if epsilon <= 0.0:
-            outcome[i] = NO_FORCE_CLOSURE
-            continue
+            if idle.any():
+                difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], distance)
+            if difference[i] >= limit:
+                outcome[i] = FAR
+                continue
         outcome[i], _ = check_overlap(
             pair, X_OH[i], q_start, q[i], X_HL, count, links, scratch.busy, scratch.close, scratch.poses
         )

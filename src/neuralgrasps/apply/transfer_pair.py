@@ -22,10 +22,11 @@ from neuralgrasps.sim.grasp_trial import GraspTrial
 from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import GraspProblem
 from neuralgrasps.synthesis.contacts import TOUCH_M
-from neuralgrasps.synthesis.prepared import Memory
+from neuralgrasps.synthesis.prepared import Memory, prepare_hand
 from neuralgrasps.synthesis.squeeze import PREGRASP_JAW_M, PREGRASP_RAD, joint_scale
 
 SPARSE = 256  # contact points that the search compares maps at; results are compared at all
+COARSE_M = 0.008  # spacing of the hand's points in the first rounds
 CLOSING_OVERLAP_M = 0.001  # that closing may leave; settling takes it away
 
 
@@ -34,7 +35,8 @@ class TransferPair:
     """One hand and one object under one protocol.
 
     Attributes:
-        problem: as `synthesise` sees it; searching: the same, judged by what counts as contact when finished.
+        problem: as `synthesise` sees it; searching: the same, judged by what counts as contact when finished;
+            coarse: the same, with fewer points on the hand.
         hands: how the hand opens. sparse: (M,) rows of the object's contact points that the search looks at.
         turned: (S, M) the contact point nearest to where each of the sparse ones goes by each symmetry.
         trial: ready to try grasps; not for two threads at once.
@@ -42,6 +44,7 @@ class TransferPair:
 
     problem: GraspProblem
     searching: GraspProblem
+    coarse: GraspProblem
     hands: Hands
     sparse: np.ndarray
     turned: np.ndarray
@@ -88,6 +91,7 @@ def forget() -> None:
 def _made_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
     problem = novel_problem(hand, obj, protocol)
     searching = replace(problem, max_penetration_m=CLOSING_OVERLAP_M, contact_threshold_m=TOUCH_M)
+    tools = prepare_hand(hand, spacing=COARSE_M)
     rates = np.abs(hand.closing_rate) / max(float(np.abs(hand.closing_rate).max()), 1e-9)
     step = np.sign(hand.closing_rate) * joint_scale(hand, PREGRASP_RAD, PREGRASP_JAW_M) * rates
     hands = Hands(
@@ -101,7 +105,8 @@ def _made_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
     turned = [tree.query(points[sparse] @ X[:3, :3].T + X[:3, 3])[1] for X in obj.symmetry.rotations]
     chosen = get_protocol(protocol)
     return TransferPair(
-        problem=problem, searching=searching, hands=hands, sparse=sparse, turned=np.stack(turned),
+        problem=problem, searching=searching,
+        coarse=replace(searching, packed=tools.packed, clusters=tools.clusters), hands=hands, sparse=sparse, turned=np.stack(turned),
         trial=GraspTrial(hand, obj, chosen, model=grasp_model(hand, obj, chosen)),
     )  # fmt: skip
 

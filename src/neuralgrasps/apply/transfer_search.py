@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from neuralgrasps.apply.transfer_descent import descend, map_problem
 from neuralgrasps.apply.transfer_kernels import Target, map_differences, search_starts
 from neuralgrasps.apply.transfer_pair import KnownMaps, TransferPair
 from neuralgrasps.apply.transfer_query import TransferQuery
@@ -15,6 +16,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.synthesis.candidates import VALID
 
 Allows = Callable[[np.ndarray, np.ndarray], np.ndarray]
+KEEP = 10  # nearest hands that a search keeps apart from those it varies
 _CHUNK = 64  # known grasps, by rank, that are asked at once whether they are allowed
 
 
@@ -29,13 +31,15 @@ class SearchConfig:
         least_epsilon: closed hands below this quality are dropped.
     """
 
-    seeds: int = 5
+    starts: int = 6
+    steps: int = 12
+    seeds: int = 3
     generations: int = 3
-    children: int = 40
-    shift_m: float = 0.012
-    turn_rad: float = 0.2
-    curl: float = 0.06
-    shrink: float = 0.5
+    children: int = 20
+    shift_m: float = 0.005
+    turn_rad: float = 0.08
+    curl: float = 0.04
+    shrink: float = 0.6
     least_epsilon: float = 0.02
 
 
@@ -144,19 +148,25 @@ def search(
     Args:
         allows: (N,) bool of closed hands X_OH, q. rng: the result depends on its state.
     """
-    hand = pair.problem.hand
-    pool = _closed(pair, sparse, X_OH, q, np.arange(len(q)), np.inf, config, allows)
-    parents_X, parents_q, parents = X_OH, q, np.arange(len(q))
+    hand, coarse = pair.problem.hand, pair.coarse.packed
+    problem = map_problem(hand, pair.problem.obj, coarse, sparse)
+    X_near, q_near, cost = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q).copy(), np.empty(len(q))
+    descend(coarse, problem, X_near, q_near, config.steps, cost)
+    X_all, q_all, own = np.concatenate([X_near, X_OH]), np.concatenate([q_near, q]), np.arange(len(q))
+    origin = np.concatenate([own, own])
+    pool = _closed(pair, sparse, X_all, q_all, origin, np.inf, config, allows)
+    pool = pool.take(np.argsort(pool.difference, kind="stable"))
     for generation in range(config.generations):
-        scale = config.shrink**generation
-        X, joints = _varied(hand, parents_X, parents_q, config, scale, rng)
-        limit = np.inf if len(pool) < 2 * config.seeds else float(pool.difference[2 * config.seeds - 1])
-        found = _closed(pair, sparse, X, joints, np.repeat(parents, config.children), limit, config, allows)
-        pool = join_found([pool, found])
-        pool = pool.take(np.argsort(pool.difference, kind="stable"))
         best = pool.take(np.arange(min(config.seeds, len(pool))))
-        if len(best):
-            parents_X, parents_q, parents = best.X_OH, best.q, best.origin
+        if len(best) == 0:
+            best = Found(X_OH=X_near, q=q_near, difference=cost, epsilon=cost, origin=own).take(
+                np.argsort(cost, kind="stable")[: config.seeds]
+            )
+        X, joints = _varied(hand, best.X_OH, best.q, config, config.shrink**generation, rng)
+        limit = np.inf if len(pool) < KEEP else float(pool.difference[KEEP - 1])
+        parents = np.repeat(best.origin, config.children)
+        pool = join_found([pool, _closed(pair, sparse, X, joints, parents, limit, config, allows)])
+        pool = pool.take(np.argsort(pool.difference, kind="stable"))
     return pool
 
 
@@ -171,10 +181,11 @@ def _closed(
     allows: Callable[[np.ndarray, np.ndarray], np.ndarray],
 ) -> Found:
     """Those of the starts that close to an allowed grasp nearer than `limit`."""
+    arrays = pair.searching.arrays
     X, joints, count = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q).copy(), len(q)
     difference, epsilon, outcome = np.empty(count), np.empty(count), np.empty(count, np.int8)
-    search_starts(pair.searching.arrays, sparse, pair.hands, limit, X, joints, difference, epsilon, outcome)
-    good = np.flatnonzero((outcome == VALID) & (epsilon >= config.least_epsilon))
+    search_starts(arrays, sparse, pair.hands, limit, config.least_epsilon, X, joints, difference, epsilon, outcome)
+    good = np.flatnonzero(outcome == VALID)
     if len(good):
         good = good[allows(X[good], joints[good])]
     return Found(X_OH=X, q=joints, difference=difference, epsilon=epsilon, origin=origin).take(good)

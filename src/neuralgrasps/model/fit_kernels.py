@@ -69,7 +69,7 @@ class FitProblem(NamedTuple):
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _huber(r, width):  # type: ignore[no-untyped-def]
+def huber(r, width):  # type: ignore[no-untyped-def]
     """(cost, weight) of a residual: r^2 up to `width`, linear beyond."""
     a = abs(r)
     if a <= width:
@@ -152,7 +152,7 @@ def gradient_in_H(packed, X_PH, part, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _add_row(G, h, nx, ny, nz, x, y, z, r, w):  # type: ignore[no-untyped-def]
+def add_row(G, h, nx, ny, nz, x, y, z, r, w):  # type: ignore[no-untyped-def]
     """Add a residual r of weight w, whose change is n . (velocity of the link's point p), to the link's sums."""
     s = (nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx)
     for i in range(6):
@@ -178,11 +178,11 @@ def _point_rows(packed, problem, X_OH, X_PH, centre_H, hint, G, h):  # type: ign
             cost, w = _geman(r, problem.width)
             cost, w = share * cost, share * w
         else:
-            cost, w = _huber(r, problem.width)
+            cost, w = huber(r, problem.width)
         total += cost
         gx, gy, gz = gradient_in_H(packed, X_PH, part, x, y, z)
         link = packed.part_link[part]
-        _add_row(G[link], h[link], -gx, -gy, -gz, x, y, z, r, w / count)  # the point stays, the hand moves
+        add_row(G[link], h[link], -gx, -gy, -gz, x, y, z, r, w / count)  # the point stays, the hand moves
     return total / count
 
 
@@ -207,19 +207,19 @@ def _cover_rows(packed, problem, X_OH, X_HL, G, h):  # type: ignore[no-untyped-d
         if gap <= max(problem.cover_free, 1e-9):
             continue
         r = gap - problem.cover_free
-        cost, w = _huber(r, problem.cover_width)
+        cost, w = huber(r, problem.cover_width)
         total += weight * cost
         p = problem.seen_O[found]
         dx, dy, dz = (ox - p[0]) / gap, (oy - p[1]) / gap, (oz - p[2]) / gap
         nx = X_OH[0, 0] * dx + X_OH[1, 0] * dy + X_OH[2, 0] * dz
         ny = X_OH[0, 1] * dx + X_OH[1, 1] * dy + X_OH[2, 1] * dz
         nz = X_OH[0, 2] * dx + X_OH[1, 2] * dy + X_OH[2, 2] * dz
-        _add_row(G[link], h[link], nx, ny, nz, x, y, z, r, weight * w)
+        add_row(G[link], h[link], nx, ny, nz, x, y, z, r, weight * w)
     return total
 
 
 @njit(cache=True, error_model="numpy")
-def _object_rows(packed, problem, X_OH, X_HL, nearest, G, h):  # type: ignore[no-untyped-def]
+def object_rows(packed, problem, X_OH, X_HL, nearest, G, h):  # type: ignore[no-untyped-def]
     """Depths of the probes in the object, and the links that touch it; `nearest` (L, 7) is work space."""
     total = 0.0
     for link in range(nearest.shape[0]):
@@ -239,9 +239,9 @@ def _object_rows(packed, problem, X_OH, X_HL, nearest, G, h):  # type: ignore[no
         ny = X_OH[0, 1] * gx + X_OH[1, 1] * gy + X_OH[2, 1] * gz
         nz = X_OH[0, 2] * gx + X_OH[1, 2] * gy + X_OH[2, 2] * gz
         if deep < 0.0:
-            cost, w = _huber(deep, problem.depth_width)
+            cost, w = huber(deep, problem.depth_width)
             total += problem.depth_weight * cost
-            _add_row(G[link], h[link], nx, ny, nz, x, y, z, deep, problem.depth_weight * w)
+            add_row(G[link], h[link], nx, ny, nz, x, y, z, deep, problem.depth_weight * w)
         if d < nearest[link, 0]:
             near = nearest[link]
             near[0], near[1], near[2], near[3], near[4], near[5], near[6] = d, nx, ny, nz, x, y, z
@@ -252,7 +252,7 @@ def _object_rows(packed, problem, X_OH, X_HL, nearest, G, h):  # type: ignore[no
             r = near[0] - problem.touch_mean[link]
             cost, w = _cauchy(r, problem.touch_width)
             total += weight * cost
-            _add_row(G[link], h[link], near[1], near[2], near[3], near[4], near[5], near[6], r, weight * w)
+            add_row(G[link], h[link], near[1], near[2], near[3], near[4], near[5], near[6], r, weight * w)
     return total
 
 
@@ -289,7 +289,7 @@ def link_twists(packed, X_HL, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
+def assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
     """Normal equations (lower triangle) over [base twist in H | q] from the sums of the links (L, 6, 6), (L, 6)."""
     joints = twists.shape[1]
     Gt = np.empty(6)
@@ -377,9 +377,9 @@ def evaluate(packed, problem, X_OH, q, work, A, b):  # type: ignore[no-untyped-d
     total = _point_rows(packed, problem, X_OH, work.X_PH, work.centre_H, work.hint, work.G, work.h)
     total += _cover_rows(packed, problem, X_OH, work.X_HL, work.G, work.h)
     if problem.depth_weight > 0.0:
-        total += _object_rows(packed, problem, X_OH, work.X_HL, work.nearest, work.G, work.h)
+        total += object_rows(packed, problem, X_OH, work.X_HL, work.nearest, work.G, work.h)
     link_twists(packed, work.X_HL, work.twists)
-    _assemble(work.G, work.h, work.twists, A, b)
+    assemble(work.G, work.h, work.twists, A, b)
     return total + _posture_rows(problem, q, A, b)
 
 

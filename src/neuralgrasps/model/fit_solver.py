@@ -33,7 +33,7 @@ def moved_pose(X, step, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _hold_limits(packed, q, A, b):  # type: ignore[no-untyped-def]
+def hold_limits(packed, q, A, b):  # type: ignore[no-untyped-def]
     """Joints pressed against a limit stay there."""
     for j in range(q.shape[0]):
         if (q[j] <= packed.lower[j] and b[6 + j] > 0.0) or (q[j] >= packed.upper[j] and b[6 + j] < 0.0):
@@ -58,7 +58,7 @@ def fit_hand(packed, problem, X_OH, q, iterations):  # type: ignore[no-untyped-d
     damping = 1e-2
     cost = evaluate(packed, problem, X_OH, q, work, A, b)
     for iteration in range(iterations):
-        _hold_limits(packed, q, A, b)
+        hold_limits(packed, q, A, b)
         improved, trial = False, cost
         for _ in range(6):
             add_damped(A, damping, 1e-10, damped)
