@@ -1,0 +1,117 @@
+"""Find the hands in a depth frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.human.detector_loss import box_overlap
+from neuralgrasps.human.detector_net import Cells, DetectorNet
+from neuralgrasps.human.detector_view import detector_view
+from neuralgrasps.human.seen import HandBox
+from neuralgrasps.model.train_state import read_tensors
+from neuralgrasps.perception.frame import Frame
+
+WEIGHTS = Path(__file__).parent.parent / "assets" / "human" / "detector.safetensors"
+
+SURE = 0.5
+"""Default score from which a box is called a hand."""
+
+_SAME = 0.45  # boxes that overlap more are one hand
+_MOST = 100  # boxes looked at
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundHands:
+    """Hands in one of the network's images, the surest first.
+
+    Attributes:
+        boxes: (K, 4) u_min, v_min, u_max, v_max; scores: (K,) 0 to 1; right: (K,) how sure it is a right hand, 0 to 1.
+    """
+
+    boxes: np.ndarray
+    scores: np.ndarray
+    right: np.ndarray
+
+
+class HandDetector:
+    """A trained network; see `load`."""
+
+    def __init__(self, net: DetectorNet) -> None:
+        """Take a network; it is changed for use (`DetectorNet.fused`)."""
+        self._net = net.fused()
+
+    @staticmethod
+    def load(path: str | Path | None = None) -> HandDetector:
+        """Read weights that `human train detector` wrote; None for those that come with the package.
+
+        Raises:
+            InputError: no such file.
+            DataFormatError: it is damaged or of another network.
+        """
+        path = WEIGHTS if path is None else Path(path)
+        if not path.is_file():
+            raise InputError(f"weights '{path}' do not exist; `human train detector --out FILE` makes such a file.")
+        tensors, _ = read_tensors(path)
+        net = DetectorNet()
+        try:
+            net.load_state_dict({name: value.float() for name, value in tensors.items()})
+        except RuntimeError as error:
+            raise DataFormatError(f"'{path}' holds no weights of this network: {error}.") from error
+        return HandDetector(net)
+
+    def find(self, frame: Frame, *, threshold: float = SURE) -> list[HandBox]:
+        """Hands in a frame, the surest first.
+
+        Boxes hold the whole hand from the wrist on, hidden parts too; those of a hand at the image's edge reach
+        beyond it. Hands are known by their depth and metric size: one outside of 0.35 to 1.5 m, one without measured
+        depth, or one seen with a wrong focal length is not found.
+
+        Args:
+            threshold: least score, 0 to 1.
+        Raises:
+            InputError: a threshold outside of that.
+        """
+        if not 0.0 <= threshold <= 1.0:
+            raise InputError(f"threshold is {threshold}; expected 0 to 1.")
+        view = detector_view(frame.depth, frame.intrinsics)
+        found = self.find_in(view.depth[None], threshold=threshold)[0]
+        return [_hand_box(*row) for row in zip(view.to_frame(found.boxes), found.scores, found.right, strict=True)]
+
+    def find_in(self, depth: np.ndarray, *, threshold: float) -> list[FoundHands]:
+        """Hands in images (N, h, w) as `detector_view` makes them, metres; boxes in their pixels."""
+        with torch.inference_mode():
+            cells = self._net(torch.from_numpy(depth))
+            return [_surest(cells, image, threshold) for image in range(len(depth))]
+
+
+def _surest(cells: Cells, image: int, threshold: float) -> FoundHands:
+    score, chosen = torch.sigmoid(cells.score[image]).topk(min(_MOST, cells.score.shape[1]))
+    chosen, score = chosen[score >= threshold], score[score >= threshold]
+    boxes = cells.boxes[image, chosen]
+    kept = one_per_hand(boxes)
+    right = torch.sigmoid(cells.right[image, chosen[kept]])
+    return FoundHands(boxes=boxes[kept].numpy(), scores=score[kept].numpy(), right=right.numpy())
+
+
+def one_per_hand(boxes: torch.Tensor, *, same: float = _SAME) -> list[int]:
+    """Rows of boxes (N, 4), the surest first, that do not overlap an earlier kept one by `same` (non-maximum
+    suppression)."""
+    overlap, _ = box_overlap(boxes[:, None], boxes[None])
+    kept: list[int] = []
+    for row, others in enumerate(overlap.tolist()):
+        if all(others[k] <= same for k in kept):
+            kept.append(row)
+    return kept
+
+
+def _hand_box(box: np.ndarray, score: float, right: float) -> HandBox:
+    u_min, v_min, u_max, v_max = map(float, box)
+    return HandBox(
+        u_min=u_min, v_min=v_min, u_max=u_max, v_max=v_max, score=float(score),
+        side="right" if right >= 0.5 else "left", side_score=float(max(right, 1.0 - right)),
+    )  # fmt: skip
