@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from neuralgrasps.cli.demonstrate_input import ShownOptions, ShownSource, check_shown, read_other_joints, read_shown
+from neuralgrasps.cli.demonstrate_input import Shown, ShownOptions, ShownSource, check_shown, read_shown
 from neuralgrasps.cli.models import source_text, warn_of_damage, warn_of_stand_ins
 from neuralgrasps.cli.options import OptionalFile, OptionalFolder, OptionalText, check_seed
 from neuralgrasps.cli.outputs import check_writable
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
-    from neuralgrasps.perception.frame import Frame
 
 Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 Rgbd = Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")]
@@ -89,11 +88,11 @@ def demonstrate(
     manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
     with terminal.progress("reading the object"):
         obj = _open_object(terminal, object_name)
-    frames, kept = read_shown(terminal, rgbd, source)
+    shown = read_shown(terminal, rgbd, source)
     rules = _rules(obj, only_region, keep_free, approach)
     demo = _watched(
-        terminal, frames, kept, obj, robot_hand, source, rules, _known(terminal, object_name, obj, robot_hand, grasps),
-        count=count, method=method, seed=seed,
+        terminal, shown, obj, robot_hand, rules, _known(terminal, object_name, obj, robot_hand, grasps),
+        side=source.side, count=count, method=method, seed=seed,
     )  # fmt: skip
     pictured = report is not None or video is not None or out is not None
     trial = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else None
@@ -101,8 +100,12 @@ def demonstrate(
     from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
     from neuralgrasps.report.demonstration_page import DemonstrationStory
 
-    story = DemonstrationStory(frames=frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
-    result = demonstration_record(story, kept) | {"rgbd": str(rgbd), "constraints": _rule_names(rules), "seed": seed}
+    story = DemonstrationStory(frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
+    result = demonstration_record(story, shown.numbers) | {
+        "rgbd": str(rgbd),
+        "constraints": _rule_names(rules),
+        "seed": seed,
+    }
     result |= {"arm": None if manipulator is None else manipulator.arm.name, "wall_s": time.perf_counter() - begun}
     show_demonstration(terminal, result)
     result |= write_demonstrated(
@@ -213,18 +216,17 @@ def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Pa
 
 
 def _watched(
-    terminal: Terminal, frames: list[Frame], kept: list[int], obj: ObjectModel, hand: Hand, source: ShownSource,
-    rules: Any, known: GraspSet | None, *, count: int, method: Literal["both", "retrieve", "generate"], seed: int,
+    terminal: Terminal, shown: Shown, obj: ObjectModel, hand: Hand, rules: Any, known: GraspSet | None, *,
+    side: Literal["right", "left"] | None, count: int, method: Literal["both", "retrieve", "generate"], seed: int,
 ) -> Demonstration:  # fmt: skip
     from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.apply.demonstrate import demonstrate as watch
     from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.cli.compiling import BEGINS, compile_clock
 
-    joints = read_other_joints(source, frames, kept)
     with terminal.progress("watching"), compile_clock(lambda: terminal.complain(BEGINS)):
         return watch(
-            frames, obj, hand, joints=joints, side=source.side, known=known, constraints=rules, seed=seed,
+            shown.frames, obj, hand, joints=shown.joints, side=side, known=known, constraints=rules, seed=seed,
             config=DemonstrateConfig(transfer=TransferConfig(count=count, method=method)),
         )  # fmt: skip
 

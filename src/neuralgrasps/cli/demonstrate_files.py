@@ -92,6 +92,7 @@ def _write_page(
 
 
 def _executions(record: Mapping[str, Any], film: Film | None) -> tuple[ExecutionFigure, ...]:
+    from neuralgrasps.report.sections import pretty_name
     from neuralgrasps.report.trial_pictures import moving_picture, strip_pictures, trial_figure
 
     trial = record["execution"]
@@ -99,7 +100,8 @@ def _executions(record: Mapping[str, Any], film: Film | None) -> tuple[Execution
         return ()
     pictures = {} if film is None else strip_pictures(film)
     moving = b"" if film is None else moving_picture(film)
-    return (trial_figure(trial, pictures, number=0, moving=moving),)
+    title = f"{pretty_name(str(record['object']))}, by {record['arm']}"
+    return (replace(trial_figure(trial, pictures, number=0, moving=moving), title=title),)
 
 
 def _write_folder(

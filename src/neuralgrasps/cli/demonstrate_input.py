@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from neuralgrasps.cli.options import OptionalFile, OptionalFloat
-from neuralgrasps.cli.pose_input import PoseSource, list_sources
+from neuralgrasps.cli.pose_input import Pending, PoseSource, list_sources
 from neuralgrasps.cli.terminal import Terminal, counted
 from neuralgrasps.errors import InputError
 
@@ -55,6 +56,15 @@ class ShownSource:
     side: OptionalSide = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shown:
+    """Frames in order of time, their places among all of the folder, and joints read by another tool, or None."""
+
+    frames: list[Frame]
+    numbers: list[int]
+    joints: list[SeenJoints | None] | None = None
+
+
 ShownOptions = Annotated[ShownSource, tyro.conf.arg(name="")]
 
 
@@ -73,19 +83,41 @@ def check_shown(given: ShownSource) -> None:
             raise InputError(f"{option} is '{path}', which does not exist.")
 
 
-def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> tuple[list[Frame], list[int]]:
-    """The frames, and their places among all of the folder: a frame without any depth is left out, and said.
+def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> Shown:
+    """The frames, and the joints of another tool; a frame without any depth is left out, and said.
 
     Raises:
-        InputError: no frame can be read.
+        InputError: no frame can be read, or joints that do not fit the frames.
     """
     pending = list_sources(_as_pose_source(rgbd, given))
-    numbers = range(0, len(pending), given.every)
+    # files of joints have a record for every frame of the folder
+    numbers = range(0, len(pending), 1 if given.joints is not None else given.every)
     if len(numbers) > _MOST_FRAMES:
+        every = -(-len(pending) // _MOST_FRAMES)
         raise InputError(
-            f"'{rgbd}' holds {len(pending)} frames; expected at most {_MOST_FRAMES}: take every "
-            f"{-(-len(pending) // _MOST_FRAMES)}th with --every {-(-len(pending) // _MOST_FRAMES)}, or cut the video."
+            f"'{rgbd}' holds {len(pending)} frames; expected at most {_MOST_FRAMES}. Take one in {every} with --every "
+            f"{every}, or cut the video."
         )
+    shown = _read_frames(terminal, pending, numbers)
+    if given.joints is not None:
+        from neuralgrasps.human.joint_files import read_joints
+
+        shown = replace(shown, joints=read_joints(given.joints, shown.frames))
+        keep = [k for k, number in enumerate(shown.numbers) if number % given.every == 0]
+        return Shown(
+            frames=[shown.frames[k] for k in keep],
+            numbers=[shown.numbers[k] for k in keep],
+            joints=None if shown.joints is None else [shown.joints[k] for k in keep],
+        )
+    if given.landmarker is not None:
+        from neuralgrasps.human.landmarker import landmark_joints
+
+        with terminal.progress("reading joints"):
+            shown = replace(shown, joints=landmark_joints(shown.frames, given.landmarker, side=given.side))
+    return shown
+
+
+def _read_frames(terminal: Terminal, pending: Sequence[Pending], numbers: Sequence[int]) -> Shown:
     frames: list[Frame] = []
     kept: list[int] = []
     refused: list[InputError] = []
@@ -104,16 +136,7 @@ def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> tuple[list
         raise refused[0]
     if refused:
         terminal.complain(f"warning: {counted(len(refused), 'frame')} left out, the first because: {refused[0]}")
-    return frames, kept
-
-
-def read_other_joints(given: ShownSource, frames: list[Frame], kept: list[int]) -> list[SeenJoints | None] | None:
-    """Joints by another tool, one for each frame; None where the library reads its own.
-
-    Raises:
-        InputError: a file that cannot be used, or joints of another number of frames.
-    """
-    return None
+    return Shown(frames=frames, numbers=kept)
 
 
 def _as_pose_source(rgbd: Path, given: ShownSource) -> PoseSource:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from neuralgrasps.apply.demonstrate import Demonstration
+from neuralgrasps.evaluate.demonstrate_execute import executed_place
 from neuralgrasps.evaluate.execute import Trial
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.human.grasp_moment import touch
@@ -184,14 +185,25 @@ def track_figure(demo: Demonstration, obj: ObjectModel) -> TrackFigure | None:
 
 
 def shown_transfer(story: DemonstrationStory) -> TransferList:
-    """The robot's grasps beside the person's."""
+    """The robot's grasps beside the person's; where none holds, the nearest that does not."""
     demo = story.demo
     assert demo.transfer is not None and demo.query is not None and demo.human is not None
     assert demo.X_OH is not None and demo.q is not None
-    return transfer_list(
-        demo.transfer, demo.query, story.hand, story.obj,
-        title="shown by the person", text=demo.transfer.reason, grasp=(as_person(demo.human), demo.X_OH, demo.q),
+    result = demo.transfer
+    if not len(result.grasps) and len(result.nearest):
+        result = replace(
+            result, grasps=result.nearest, similarity=np.array([result.nearest_similarity]), origin=("the nearest",),
+            reasons=("it touches the object most alike, and does not hold",),
+        )  # fmt: skip
+    shown = transfer_list(
+        result, demo.query, story.hand, story.obj,
+        title="shown by the person", text=result.reason, grasp=(as_person(demo.human), demo.X_OH, demo.q),
     )  # fmt: skip
+    place = None if story.trial is None else executed_place(story.trial, demo)
+    grasps = [
+        replace(g, reason=f"Carried out: {g.reason}") if k == place else g for k, g in enumerate(shown.grasps)
+    ]  # fmt: skip
+    return replace(shown, grasps=tuple(grasps))
 
 
 def shown_frame(seen: Demonstrated, demo: Demonstration) -> int:

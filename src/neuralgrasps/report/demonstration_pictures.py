@@ -68,9 +68,10 @@ def strip_pictures(seen: Demonstrated, gap_mm: np.ndarray | None = None, *, coun
     found = []
     for index in strip_indices(has_hand, seen.moment, count):
         layers = seen.layers[index]
-        words = "the grasp" if index == seen.moment else "no hand" if not has_hand[index] else "the hand comes"
+        away = np.nan if gap_mm is None else float(gap_mm[index])
+        words = "the grasp" if index == seen.moment else _distance_text(away) if has_hand[index] else "no hand"
         if layers.box is not None and layers.fitted is None:
-            words = "seen, not fitted"
+            words = "hand found"
         found.append(
             (f"frame {index + 1}: {words}", _overlay(seen.frames[index], layers, window, _STRIP_SIZE, labels=False))
         )
