@@ -31,6 +31,7 @@ SHOWN = 12
 TOUCHED = 0.6  # closeness from which a point of the object counts as touched, for the choice of the view
 FREE_COLOUR, ONLY_COLOUR = "#c2412f", "#2f8f5b"
 _POINTS_SHOWN, _POINT_COLOUR = 400, "#b3372b"
+_FEW, _FEW_M, _MANY_M = 30, 0.0035, 0.0015
 _CONTACTS = 40  # points of the object that stand for all that is touched, for the choice of the view
 
 
@@ -46,7 +47,7 @@ def touched_view(obj: ObjectModel, closeness: np.ndarray, posed: Posed | None = 
     touched = np.flatnonzero(closeness >= min(TOUCHED, float(closeness.max())))
     points = obj.points_O[touched[farthest_points(obj.points_O[touched], min(_CONTACTS, len(touched)))]]
     if posed is None:
-        return contact_direction([], [], obj.mesh, points, np.full(len(points), -1))
+        return contact_direction([], [], obj.mesh, points, np.arange(len(points)))
     hand, X_OH, q = posed
     owner = finger_of_link(hand)
     fingers = np.array([owner[part.link] for part in hand.parts])
@@ -68,13 +69,13 @@ def marked_object(obj: ObjectModel, constraints: GraspConstraints | None) -> Sur
     return Surface(mesh=mesh, colour=colour, gloss=plain.gloss, caster=obj.mesh)
 
 
-def point_surface(points_O: np.ndarray, *, radius_m: float = 0.0015) -> list[Surface]:
-    """Points (M, 3) as small balls, at most 400 of them, spread evenly; none for no points."""
+def point_surface(points_O: np.ndarray) -> list[Surface]:
+    """Points (M, 3) as balls, a few as large ones, of many 400 spread evenly; none for no points."""
     points = np.asarray(points_O, np.float64)
     if not len(points):
         return []
     chosen = points[farthest_points(points, min(len(points), _POINTS_SHOWN))]
-    ball = sphere_mesh(radius_m, segments=8)
+    ball = sphere_mesh(_FEW_M if len(chosen) <= _FEW else _MANY_M, segments=12)
     balls = merge_meshes([Mesh(ball.vertices + p, ball.faces) for p in chosen])
     return [Surface(mesh=balls, colour=linear_rgb(_POINT_COLOUR), gloss=0.1)]
 
