@@ -91,9 +91,12 @@ def write_loss(z, beside, fx, fy, edge_dropout, grazing_dropout, power, out):  #
                 out[v, u] = edge_dropout
                 continue
             left, right = max(u - 1, 0), min(u + 1, width - 1)
-            x = (z[v, right] - z[v, left]) / (right - left) * fx
-            y = (z[high, u] - z[low, u]) / (high - low) * fy
+            x = (z[v, right] - z[v, left]) * (0.5 if right - left == 2 else 1.0) * fx
+            y = (z[high, u] - z[low, u]) * (0.5 if high - low == 2 else 1.0) * fy
             here = max(z[v, u], 1e-6)
+            if x * x + y * y < 0.9 * flattest * here * here:
+                out[v, u] = 0.0
+                continue
             square = (x * x + y * y) / (here * here)
             squared = square / (1.0 + square)
             out[v, u] = 0.0 if squared < flattest else grazing_dropout * squared ** (0.5 * power)
