@@ -22,6 +22,8 @@ from neuralgrasps.errors import (
 )
 
 if TYPE_CHECKING:
+    from neuralgrasps.apply.constraints import GraspConstraints
+    from neuralgrasps.apply.demonstrate import DemonstrateConfig, demonstrate
     from neuralgrasps.apply.novel import novel_grasps
     from neuralgrasps.apply.novel_trial import NovelConfig
     from neuralgrasps.apply.pick_up import PickUpConfig, carry_out, pick_up, propose_pick
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from neuralgrasps.apply.robot import Robot, RobotState
     from neuralgrasps.apply.simulated_robot import SimulatedRobot
     from neuralgrasps.apply.table_scenes import draw_scene
+    from neuralgrasps.apply.transfer import TransferConfig, transfer
+    from neuralgrasps.apply.transfer_query import query_from_contacts, query_from_grasp, query_from_points
     from neuralgrasps.arms.arm import Arm
     from neuralgrasps.arms.manipulator import Manipulator
     from neuralgrasps.arms.mount import mount
@@ -39,6 +43,7 @@ if TYPE_CHECKING:
     from neuralgrasps.dataset.read import GraspDataset, read_dataset
     from neuralgrasps.dataset.schema import DatasetConfig
     from neuralgrasps.dataset.verify import verify_dataset
+    from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
     from neuralgrasps.evaluate.execute import ExecuteConfig, execute_trial
     from neuralgrasps.evaluate.observe import observe_hand, view_hand
     from neuralgrasps.geometry.camera import Intrinsics
@@ -46,7 +51,10 @@ if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_io import load_grasps, save_grasps
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
+    from neuralgrasps.hands.variants import mirrored_hand, scaled_hand
     from neuralgrasps.hands.zoo import hand_names, load_hand
+    from neuralgrasps.human.demonstration import record_demonstration
+    from neuralgrasps.human.watch import watch_hand
     from neuralgrasps.model.checkpoint import load_run, save_run
     from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps
     from neuralgrasps.model.infer_contacts import encode_contacts
@@ -74,7 +82,7 @@ if TYPE_CHECKING:
     from neuralgrasps.sim.validate import validate_grasps
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
-__version__ = "0.5.0"
+__version__ = "0.6.0"
 
 _HOMES = {
     "Arm": "arms.arm",
@@ -82,8 +90,10 @@ _HOMES = {
     "CollisionChecker": "planning.collision",
     "ContactPoints": "perception.contact",
     "DatasetConfig": "dataset.schema",
+    "DemonstrateConfig": "apply.demonstrate",
     "ExecuteConfig": "evaluate.execute",
     "Frame": "perception.frame",
+    "GraspConstraints": "apply.constraints",
     "GraspDataset": "dataset.read",
     "GraspSet": "grasps.grasp_set",
     "Hand": "hands.hand",
@@ -104,16 +114,19 @@ _HOMES = {
     "SynthesisConfig": "synthesis.synthesise",
     "TrainConfig": "model.train",
     "Trajectory": "arms.trajectory",
+    "TransferConfig": "apply.transfer",
     "arm_names": "arms.zoo",
     "build_dataset": "dataset.build",
     "carry_out": "apply.pick_up",
     "collect_grasps": "dataset.collect",
     "contact_map": "grasps.contact_map",
+    "demonstrate": "apply.demonstrate",
     "download_ycb": "objects.ycb",
     "draw_scene": "apply.table_scenes",
     "encode_contacts": "model.infer_contacts",
     "encode_points": "model.infer",
     "estimate_pose": "perception.pose",
+    "execute_demonstration": "evaluate.demonstrate_execute",
     "execute_trial": "evaluate.execute",
     "find_objects": "perception.find",
     "find_table": "perception.table",
@@ -127,6 +140,7 @@ _HOMES = {
     "load_hand": "hands.zoo",
     "load_object": "objects.zoo",
     "load_run": "model.checkpoint",
+    "mirrored_hand": "hands.variants",
     "mount": "arms.mount",
     "novel_grasps": "apply.novel",
     "object_names": "objects.zoo",
@@ -135,21 +149,28 @@ _HOMES = {
     "plan_path": "planning.path",
     "plan_pick": "planning.pick",
     "propose_pick": "apply.pick_up",
+    "query_from_contacts": "apply.transfer_query",
+    "query_from_grasp": "apply.transfer_query",
+    "query_from_points": "apply.transfer_query",
     "read_dataset": "dataset.read",
     "read_frame": "perception.frame_files",
     "read_frames": "perception.frame_files",
+    "record_demonstration": "human.demonstration",
     "retrieve": "apply.retrieve",
     "save_grasps": "grasps.grasp_io",
     "save_run": "model.checkpoint",
+    "scaled_hand": "hands.variants",
     "solve_ik": "planning.ik",
     "synthesise": "synthesis.synthesise",
     "table_box": "planning.world",
     "time_path": "planning.timing",
     "track_pose": "perception.track",
     "train": "model.train",
+    "transfer": "apply.transfer",
     "validate_grasps": "sim.validate",
     "verify_dataset": "dataset.verify",
     "view_hand": "evaluate.observe",
+    "watch_hand": "human.watch",
     "write_report": "report.page",
 }
 
@@ -160,9 +181,11 @@ __all__ = [
     "ContactPoints",
     "DataFormatError",
     "DatasetConfig",
+    "DemonstrateConfig",
     "DownloadError",
     "ExecuteConfig",
     "Frame",
+    "GraspConstraints",
     "GraspDataset",
     "GraspSet",
     "Hand",
@@ -189,6 +212,7 @@ __all__ = [
     "SynthesisConfig",
     "TrainConfig",
     "Trajectory",
+    "TransferConfig",
     "UnknownNameError",
     "__version__",
     "arm_names",
@@ -196,11 +220,13 @@ __all__ = [
     "carry_out",
     "collect_grasps",
     "contact_map",
+    "demonstrate",
     "download_ycb",
     "draw_scene",
     "encode_contacts",
     "encode_points",
     "estimate_pose",
+    "execute_demonstration",
     "execute_trial",
     "find_objects",
     "find_table",
@@ -214,6 +240,7 @@ __all__ = [
     "load_hand",
     "load_object",
     "load_run",
+    "mirrored_hand",
     "mount",
     "novel_grasps",
     "object_names",
@@ -222,21 +249,28 @@ __all__ = [
     "plan_path",
     "plan_pick",
     "propose_pick",
+    "query_from_contacts",
+    "query_from_grasp",
+    "query_from_points",
     "read_dataset",
     "read_frame",
     "read_frames",
+    "record_demonstration",
     "retrieve",
     "save_grasps",
     "save_run",
+    "scaled_hand",
     "solve_ik",
     "synthesise",
     "table_box",
     "time_path",
     "track_pose",
     "train",
+    "transfer",
     "validate_grasps",
     "verify_dataset",
     "view_hand",
+    "watch_hand",
     "write_report",
 ]
 
