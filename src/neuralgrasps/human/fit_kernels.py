@@ -20,6 +20,8 @@ from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.model.fit_kernels import gradient_in_H, link_twists, nearest_of_parts, part_poses_H
 
 _ROW = 7  # base twist [v, w] and log size
+_AWAY = 0.3  # cosine of the ray and a surface's normal, from which on a point cannot be seen there
+_BEFORE_M, _MARCH = 0.15, 24
 
 
 class HandProblem(NamedTuple):
@@ -171,18 +173,48 @@ def _joint_rows(problem, X_CH, scale, X_HL, G, h):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
+def _front(packed, X_PH, centre_H, part, x, y, z, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """(part, point (3)) where a ray of unit direction d to (x, y, z) in H meets the hand first; -1 where it does not.
+
+    The search starts 0.15 m before the point and goes on by exact distances.
+    """
+    along = -_BEFORE_M
+    for _ in range(_MARCH):
+        px, py, pz = x + along * dx, y + along * dy, z + along * dz
+        r, part = nearest_of_parts(packed, X_PH, centre_H, part, px, py, pz)
+        if r < 3e-4:
+            return part, px, py, pz
+        along += r
+        if along > 0.0:
+            break
+    return -1, x, y, z
+
+
+@njit(cache=True, error_model="numpy")
 def _cloud_rows(packed, problem, X_CH, scale, work):  # type: ignore[no-untyped-def]
+    """Distances of the cloud's points to the hand: to its front where the nearest surface is turned away."""
     total, square = 0.0, scale * scale
+    ox, oy, oz = in_hand(X_CH, scale, (0.0, 0.0, 0.0))  # the camera
     for m in range(problem.cloud_C.shape[0]):
         x, y, z = in_hand(X_CH, scale, problem.cloud_C[m])
         r, part = nearest_of_parts(packed, work.X_PH, work.centre_H, work.hint[m], x, y, z)
         work.hint[m] = part
+        gx, gy, gz = gradient_in_H(packed, work.X_PH, part, x, y, z)
+        dx, dy, dz = x - ox, y - oy, z - oz
+        far = math.sqrt(dx * dx + dy * dy + dz * dz)
+        dx, dy, dz = dx / far, dy / far, dz / far
+        if gx * dx + gy * dy + gz * dz > _AWAY:
+            front, hx, hy, hz = _front(packed, work.X_PH, work.centre_H, part, x, y, z, dx, dy, dz)
+            if front >= 0:
+                part = front
+                gx, gy, gz = gradient_in_H(packed, work.X_PH, part, hx, hy, hz)
+                r = gx * (x - hx) + gy * (y - hy) + gz * (z - hz)  # to the plane that touches the front there
+                x, y, z = hx + r * gx, hy + r * gy, hz + r * gz
         cost, w = bounded_cost(square * r * r, problem.cloud_width)
         total += problem.cloud_weight * cost
         w *= problem.cloud_weight * square
         if w < 1e-3:
             continue
-        gx, gy, gz = gradient_in_H(packed, work.X_PH, part, x, y, z)
         link = packed.part_link[part]
         # the point stays, the hand moves; growing, the surface at x - r g moves by itself
         _add_row(work.G[link], work.h[link], -gx, -gy, -gz, x, y, z, r, r, w)
@@ -228,7 +260,7 @@ def _view_rows(problem, X_CH, scale, X_HL, G, h):  # type: ignore[no-untyped-def
         r = gap - problem.free_slack
         if r <= 0.0:
             continue
-        cost, w = slow_cost(r * r, problem.free_width)
+        cost, w = bounded_cost(r * r, problem.free_width)
         total += problem.free_weight * cost
         nx, ny, nz = _turned_back(X_CH, dx, dy, dz)
         _add_row(G[link], h[link], nx, ny, nz, x, y, z, 0.0, r / scale, problem.free_weight * w * scale * scale)

@@ -50,15 +50,16 @@ class HandFitConfig:
 
     points: int = 300
     joint_sd_m: float = 0.017
-    joint_width_m: float = 0.03
-    cloud_sd_m: float = 0.004
+    joint_width_m: float = 0.025
+    cloud_sd_m: float = 0.003
     cloud_width_m: float = 0.006
-    first_width_m: float = 0.02
+    first_width_m: float = 0.03
     free_sd_m: float = 0.01
-    free_slack_m: float = 0.003
-    deep_sd_m: float = 0.003
+    free_slack_m: float = 0.006
+    free_width_m: float = 0.015
+    deep_sd_m: float = 0.002
     deep_slack_m: float = 0.001
-    touch_sd_m: float = 0.01
+    touch_sd_m: float = 0.005
     touch_width_m: float = 0.02
     freedom: float = 8.0
     scale_mean: float = 0.79
@@ -123,9 +124,7 @@ def fit_hand(
     """
     config = config or HandFitConfig()
     if seen is None and start is None:
-        raise InputError(
-            "fit_hand got neither joints nor a start; expected one: points alone do not say."
-        )
+        raise InputError("fit_hand got neither joints nor a start; expected one: points alone do not say.")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"scale is {scale}; expected a size above 0, such as 0.8, or None.")
     problem = hand_problem(seen, cloud_C, side=side, scale=scale, obj=obj, frame=frame, config=config)
@@ -166,7 +165,7 @@ def fit_size(
         problem = hand_problem(joints, cloud, side=side, scale=1.0, obj=held, frame=None, config=config)
         X, q, _ = _first_starts(problem, None, config.scale_mean, config)
         one = np.empty(1)
-        found = {}
+        found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         for i in (4, 5, 6, 7, 8, 3, 2, 1, 0):  # outwards from the usual size, each from its neighbour's result
             X_i, q_i = (X.copy(), q.copy()) if i == 4 else found[i - 1 if i > 4 else i + 1]
             X_i, q_i = X_i[:1].copy(), q_i[:1].copy()
@@ -224,7 +223,7 @@ def hand_problem(
         camera=view.camera,
         free_weight=1.0 / config.free_sd_m**2 if len(view.depth) else 0.0,
         free_slack=config.free_slack_m,
-        free_width=3.0 * config.free_sd_m,
+        free_width=config.free_width_m,
         X_OC=np.ascontiguousarray(X_OC[:3]),
         sdf_values=grid.values if grid is not None else np.zeros((2, 2, 2), np.float32),
         sdf_origin=grid.origin if grid is not None else np.zeros(3),
