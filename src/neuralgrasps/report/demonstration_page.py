@@ -161,9 +161,9 @@ def drawn_frames(frames: Sequence[Frame], demo: Demonstration, obj: ObjectModel)
 
 
 def track_figure(demo: Demonstration, obj: ObjectModel) -> TrackFigure | None:
-    """The hand over the frames in numbers; None without a track."""
+    """The hand over the frames in numbers; None where it was fitted in none."""
     track = demo.track
-    if track is None or demo.followed is None:
+    if track is None or demo.followed is None or not any(fitted is not None for fitted in track.frames):
         return None
     count = len(track.frames)
     gap, moved, residual = (np.full(count, np.nan) for _ in range(3))

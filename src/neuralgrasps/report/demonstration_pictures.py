@@ -69,11 +69,11 @@ def strip_pictures(seen: Demonstrated, gap_mm: np.ndarray | None = None, *, coun
     for index in strip_indices(has_hand, seen.moment, count):
         layers = seen.layers[index]
         away = np.nan if gap_mm is None else float(gap_mm[index])
-        words = "the grasp" if index == seen.moment else _distance_text(away) if has_hand[index] else "no hand"
+        words = "the grasp" if index == seen.moment else _distance_text(away) if has_hand[index] else "no hand found"
         if layers.box is not None and layers.fitted is None:
             words = "hand found"
         found.append(
-            (f"frame {index + 1}: {words}", _overlay(seen.frames[index], layers, window, _STRIP_SIZE, labels=False))
+            (f"frame {index}: {words}", _overlay(seen.frames[index], layers, window, _STRIP_SIZE, labels=False))
         )
     return tuple(found)
 

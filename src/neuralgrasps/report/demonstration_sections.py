@@ -25,7 +25,8 @@ def demonstration_sections(figure: DemonstrationFigure, pictures: PictureEncoder
     if figure.frames or figure.animation:
         sections.append(("shown", "What was shown", _shown(figure, pictures)))
     if figure.close_ups or figure.views:
-        sections.append(("moment", "The grasp", _moment(figure, pictures)))
+        title = "The grasp" if figure.views else "The frame"
+        sections.append(("moment", title, _moment(figure, pictures)))
     return sections
 
 

@@ -60,8 +60,10 @@ def _object_text(demo: Demonstration) -> str:
     followed = demo.followed
     if followed is None or followed.pose is None:
         return "not found"
-    text = f"{percent_text(followed.pose.confidence)} sure, in frame {followed.found_in + 1}"
-    return text if followed.lost_from is None else f"{text}; lost from frame {followed.lost_from + 1}"
+    if followed.reason:
+        return f"at most {percent_text(followed.pose.confidence)} sure"
+    text = f"{percent_text(followed.pose.confidence)} sure, in frame {followed.found_in}"
+    return text if followed.lost_from is None else f"{text}; lost from frame {followed.lost_from}"
 
 
 def _hand_text(demo: Demonstration) -> str:
@@ -99,7 +101,7 @@ def _grasp_text(demo: Demonstration) -> str:
         return "none"
     touching = f"; {', '.join(track.contacts)} touch" if track.contacts else ""
     fused = f", {len(track.still)} frames fused" if len(track.still) > 1 else ""
-    return f"in frame {track.moment + 1}{fused}{touching}"
+    return f"in frame {track.moment}{fused}{touching}"
 
 
 def _transfer_text(demo: Demonstration) -> str:

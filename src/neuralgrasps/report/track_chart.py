@@ -30,7 +30,7 @@ def track_svg(track: TrackFigure) -> str:
     for index, (name, values) in enumerate(lanes):
         parts.append(_lane(name, values, x, _TOP + index * (_LANE + _GAP)))
     parts += [_axis(count, x, height), _marker(track, x, height)]
-    label = f"The hand in {count} frames" + (f"; the grasp is in frame {track.moment + 1}" if track.moment >= 0 else "")
+    label = f"The hand in {count} frames" + (f"; the grasp is in frame {track.moment}" if track.moment >= 0 else "")
     return (
         f'<svg class="chart track" viewBox="0 0 {_WIDTH} {height}" role="img" aria-label="{escape(label)}">'
         f"{''.join(parts)}</svg>"
@@ -63,8 +63,8 @@ def _lane(name: str, values: np.ndarray, x: np.ndarray, top: float) -> str:
 def _axis(count: int, x: np.ndarray, height: int) -> str:
     step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 10**6) if count / s <= 12)
     ticks = "".join(
-        f'<text class="tick" x="{x[i]:.1f}" y="{height - _BOTTOM + 16}" text-anchor="middle">{i + 1}</text>'
-        for i in range(0 if step == 1 else step - 1, count, step)
+        f'<text class="tick" x="{x[i]:.1f}" y="{height - _BOTTOM + 16}" text-anchor="middle">{i}</text>'
+        for i in range(0, count, step)
     )
     return ticks + f'<text class="tick" x="{_LEFT - 14}" y="{height - _BOTTOM + 16}" text-anchor="end">frame</text>'
 
@@ -87,5 +87,5 @@ def _marker(track: TrackFigure, x: np.ndarray, height: int) -> str:
     anchor = "end" if at > 0.85 * _WIDTH else "start" if at < 0.25 * _WIDTH else "middle"
     return (
         f'<line class="moment" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP - 6}" y2="{height - _BOTTOM}"/>'
-        f'<text class="name" x="{at:.1f}" y="{_TOP - 11}" text-anchor="{anchor}">grasp, frame {track.moment + 1}</text>'
+        f'<text class="name" x="{at:.1f}" y="{_TOP - 11}" text-anchor="{anchor}">grasp, frame {track.moment}</text>'
     )
