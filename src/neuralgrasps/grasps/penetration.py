@@ -14,6 +14,7 @@ import numpy as np
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.mesh import Mesh, signed_distance
+from neuralgrasps.geometry.mesh_tree import MeshTree, tree_distance
 from neuralgrasps.geometry.pose_kernels import moved_point, rigid_inverse, rigid_product
 from neuralgrasps.geometry.sdf_grid import SdfGrid, grid_distance, query_grid_numpy
 from neuralgrasps.grasps.contact import link_is_farther, link_pose_in_object
@@ -240,10 +241,13 @@ def _links(packed: PackedHand, q: np.ndarray) -> np.ndarray:
     return X_HL
 
 
-def mesh_depths(packed: PackedHand, mesh: Mesh, sdf: SdfGrid, *, X_OH: np.ndarray, q: np.ndarray) -> np.ndarray:
+def mesh_depths(
+    packed: PackedHand, mesh: Mesh, sdf: SdfGrid, *, X_OH: np.ndarray, q: np.ndarray, tree: MeshTree | None = None
+) -> np.ndarray:
     """(N,) largest depth of the hand's points in the object's mesh at N poses and postures, metres, >= 0.
 
-    The distances are the mesh's own; `sdf` only tells which points may be the deepest.
+    The distances are the mesh's own; `sdf` only tells which points may be the deepest. With the `tree` of the mesh they
+    are the same to rounding, and many times faster for a few grasps.
     """
     depth = np.zeros(len(X_OH))
     owner, points_O = [np.zeros(0, np.int64)], [np.zeros((0, 3))]
@@ -258,5 +262,7 @@ def mesh_depths(packed: PackedHand, mesh: Mesh, sdf: SdfGrid, *, X_OH: np.ndarra
         near = by_grid < min(by_grid.min(initial=np.inf) + 2.0 * sdf.spacing, _NEAR_M)
         points_O.append(points[near])
         owner.append(np.full(int(near.sum()), n))
-    np.maximum.at(depth, np.concatenate(owner), -signed_distance(mesh, np.concatenate(points_O)))
+    points = np.concatenate(points_O)
+    distance = signed_distance(mesh, points) if tree is None else tree_distance(tree, mesh, points)
+    np.maximum.at(depth, np.concatenate(owner), -distance)
     return depth

@@ -20,6 +20,7 @@ from neuralgrasps.sim.protocols import get_protocol
 from neuralgrasps.synthesis.candidates import CONE_EDGES, Candidates, GraspProblem
 from neuralgrasps.synthesis.clusters import hand_clearance
 from neuralgrasps.synthesis.contacts import contacts_of
+from neuralgrasps.synthesis.prepared import prepare_tree
 from neuralgrasps.synthesis.settle import settle
 from neuralgrasps.synthesis.squeeze import joint_scale, pregrasp_joints, squeeze_joints
 from neuralgrasps.synthesis.strength import lift_torques
@@ -105,7 +106,10 @@ def _without_overlap(problem: GraspProblem, closed: Candidates, idle: np.ndarray
     closed, idle = closed.take(shallow), idle[shallow]
     if len(closed) == 0:
         return closed, idle
-    by_mesh = mesh_depths(problem.hand_probe, problem.obj.mesh, problem.obj.sdf, X_OH=closed.X_OH, q=closed.q)
+    by_mesh = mesh_depths(
+        problem.hand_probe, problem.obj.mesh, problem.obj.sdf, X_OH=closed.X_OH, q=closed.q,
+        tree=prepare_tree(problem.obj.mesh),
+    )  # fmt: skip
     closed = replace(closed, penetration_m=np.maximum(closed.penetration_m, by_mesh))
     shallow = closed.penetration_m <= problem.max_penetration_m
     return closed.take(shallow), idle[shallow]

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 from neuralgrasps.geometry.mesh import Mesh
+from neuralgrasps.geometry.mesh_tree import MeshTree, build_tree
 from neuralgrasps.grasps.probe_points import ProbePoints, probe_hand, probe_surface
 from neuralgrasps.hands.fingerprint import fingerprint, hand_fingerprint
 from neuralgrasps.hands.hand import Hand
@@ -55,6 +56,7 @@ class Memory(Generic[T]):
 
 _HANDS = Memory[PreparedHand]()
 _SURFACES = Memory[ProbePoints]()
+_TREES = Memory[MeshTree]()
 
 
 def prepare_hand(hand: Hand, *, spacing: float) -> PreparedHand:
@@ -71,3 +73,8 @@ def prepare_hand(hand: Hand, *, spacing: float) -> PreparedHand:
 def prepare_surface(mesh: Mesh) -> ProbePoints:
     """Points that probe an object for overlap."""
     return _SURFACES.get(fingerprint(mesh), lambda: probe_surface(mesh, spacing=PROBE_SPACING_M))
+
+
+def prepare_tree(mesh: Mesh) -> MeshTree:
+    """The tree for exact distances to an object."""
+    return _TREES.get(fingerprint(mesh), lambda: build_tree(mesh))
