@@ -40,33 +40,33 @@ def mean_joints(seen: Sequence[SeenJoints], X_CF: Sequence[np.ndarray]) -> SeenJ
     )
 
 
-def fused_fit(video: HandVideo, numbers: Sequence[int], target: int) -> tuple[FittedHand, np.ndarray] | None:
-    """One fit to the frames of a still hand, in the camera frame of `target`, and the merged cloud (M, 3) it used.
+def fused_fit(video: HandVideo, numbers: Sequence[int], target: int) -> tuple[FittedHand, np.ndarray]:
+    """One fit to frames that show a still hand, in the camera frame of `target`, and the merged cloud (M, 3) it used.
 
-    The first fit decides which points are the hand's for the second. None where no frame shows the hand.
+    The fit of the target frame decides which points are the hand's for the first round, that one for the second.
+
+    Args:
+        numbers: at least one frame, all with seen joints, `target` among them.
     """
-    shown = [(n, seen) for n in numbers if (seen := video.see(n)) is not None]
-    if not shown:
-        return None
-    X = {n: video.to_frame(n, target) for n, _ in shown}
-    seen = mean_joints([s for _, s in shown], [X[n] for n, _ in shown])
-    fitted, cloud = video.fit(target), np.zeros((0, 3))
-    for reach_m in (None, 0.8 * video.cloud_config.reach_m):
-        clouds = [_cloud(video, n, s, fitted if reach_m is not None else None, X[n], reach_m) for n, s in shown]
-        moved = [cloud @ X[n][:3, :3].T + X[n][:3, 3] for (n, _), cloud in zip(shown, clouds, strict=True)]
+    shown = [(n, seen, video.to_frame(n, target)) for n in numbers if (seen := video.see(n)) is not None]
+    mean = mean_joints([s for _, s, _ in shown], [X for _, _, X in shown])
+    fitted = video.fit(target)
+    assert fitted is not None
+    cloud = np.zeros((0, 3))
+    for reach_m in (video.cloud_config.reach_m, 0.8 * video.cloud_config.reach_m):
+        moved = [_cloud(video, n, s, fitted, X, reach_m) for n, s, X in shown]
         cloud = merged_cloud(moved, least=2 if len(shown) >= 5 else 1)
-        fitted = fit_hand(seen, cloud, side=video.side, scale=video.scale, start=fitted, obj=video.held(target))
-    return fitted, cloud  # type: ignore[return-value]  # two rounds: it is a fit
+        fitted = fit_hand(mean, cloud, side=video.side, scale=video.scale, start=fitted, obj=video.held(target))
+    return fitted, cloud
 
 
 def _cloud(
-    video: HandVideo, number: int, seen: SeenJoints, fitted: FittedHand | None, X: np.ndarray, reach_m: float | None
+    video: HandVideo, number: int, seen: SeenJoints, fitted: FittedHand, X_CF: np.ndarray, reach_m: float
 ) -> np.ndarray:
-    """A frame's points near the joints seen in it, or near those of a fit of the target frame, X from F to it."""
-    if fitted is None:
-        return video.cloud(number)
-    joints = (fitted.joints_C - X[:3, 3]) @ X[:3, :3]
-    return video.cloud_near(number, replace(seen, points_C=joints), reach_m=reach_m)
+    """A frame's points near the joints of a hand fitted in C, moved to C."""
+    joints_F = (fitted.joints_C - X_CF[:3, 3]) @ X_CF[:3, :3]
+    cloud = video.cloud_near(number, replace(seen, points_C=joints_F), reach_m=reach_m)
+    return cloud @ X_CF[:3, :3].T + X_CF[:3, 3]
 
 
 def seen_share(video: HandVideo, number: int, fitted: FittedHand) -> float:
@@ -77,8 +77,12 @@ def seen_share(video: HandVideo, number: int, fitted: FittedHand) -> float:
     v = np.round(k.fy * p[:, 1] / p[:, 2] + k.cy).astype(int)
     inside = (u >= 0) & (v >= 0) & (u < k.width) & (v < k.height)
     u, v = np.where(inside, u, 0), np.where(inside, v, 0)
-    before = p[:, 2] - frame.depth[v, u]
-    shown = inside & (frame.depth[v, u] > 0) & (before > -0.01) & (before < 0.03)
-    if seen is not None and seen.mask is not None:
-        shown &= seen.mask[v, u]
-    return float(shown.mean())
+    shown = np.zeros(len(p), bool)
+    for dv, du in np.ndindex(3, 3):  # a pixel without depth, or a ragged mask, hides no joint
+        row, column = np.clip(v + dv - 1, 0, k.height - 1), np.clip(u + du - 1, 0, k.width - 1)
+        z = frame.depth[row, column]
+        one = (z > 0) & (p[:, 2] - z > -0.01) & (p[:, 2] - z < 0.03)
+        if seen is not None and seen.mask is not None:
+            one &= seen.mask[row, column]
+        shown |= one
+    return float((shown & inside).mean())

@@ -118,18 +118,18 @@ def touch(fitted: FittedHand, obj: ObjectModel, X_CO: np.ndarray) -> Touch:
     return Touch(gap_m={name: float(out[np.isin(surface.links, links)].min()) for name, links in chains.items()})
 
 
-def first_motion(X_CO: np.ndarray, frames: Sequence[int], *, moved_m: float) -> int | None:
+def first_motion(X_WO: np.ndarray, frames: Sequence[int], *, moved_m: float) -> int | None:
     """The first of these frames in which the object has left the place it had before; None when it never does.
 
     Args:
-        X_CO: (T, 4, 4) the object in the camera frame, the camera at rest; nan where unknown.
+        X_WO: (T, 4, 4) the object in any frame at rest; nan where unknown.
     """
-    known = np.flatnonzero(np.isfinite(X_CO).all(axis=(1, 2)))
+    known = np.flatnonzero(np.isfinite(X_WO).all(axis=(1, 2)))
     if not len(known):
         return None
-    start = np.median(X_CO[known[:5], :3, 3], axis=0)
+    start = np.median(X_WO[known[:5], :3, 3], axis=0)
     for frame in frames:
-        if np.isfinite(X_CO[frame]).all() and np.linalg.norm(X_CO[frame, :3, 3] - start) > moved_m:
+        if np.isfinite(X_WO[frame]).all() and np.linalg.norm(X_WO[frame, :3, 3] - start) > moved_m:
             return int(frame)
     return None
 

@@ -26,7 +26,8 @@ class HandVideo:
     Attributes:
         frames: the video. reader: of joints; None where all are given.
         obj: what is grasped; None when it is not known. X_CO: (T, 4, 4) where it is; nan when not known.
-        table: what it stands on, in the camera frame of every frame; None when the camera moves or there is none.
+        X_WC: (T, 4, 4) the camera in the world; identities when it is at rest.
+        table: what it stands on, in the first frame's camera, normal up; None: there is none.
         cloud_config: which pixels count as the hand's.
         side, scale: of the hand, once decided. boxes: found so far, by frame.
         notes: what speaks against the outcome, in words.
@@ -36,6 +37,7 @@ class HandVideo:
     reader: JointSource | None
     obj: ObjectModel | None
     X_CO: np.ndarray
+    X_WC: np.ndarray
     table: Plane | None
     cloud_config: CloudConfig
     side: Side = "right"
@@ -83,7 +85,8 @@ class HandVideo:
         """(M, 3) the hand's measured points in a frame, near these joints."""
         config = self.cloud_config if reach_m is None else replace(self.cloud_config, reach_m=reach_m)
         return hand_cloud(
-            self.frames[number], seen, box=self.boxes.get(number), obj=self.held(number), table=self.table,
+            self.frames[number], seen, box=self.boxes.get(number), obj=self.held(number),
+            table=None if self.table is None else self.table.moved(inverse_np(self.X_WC[number]) @ self.X_WC[0]),
             config=config,
         )  # fmt: skip
 
@@ -113,11 +116,15 @@ class HandVideo:
     def to_frame(self, source: int, target: int) -> np.ndarray:
         """(4, 4) maps the camera frame of one frame to that of another, as if the object had stood still.
 
-        The identity where the object is not known: camera and object are at rest then.
+        Where the object is not known, as if nothing but the camera had moved.
         """
         if self.obj is None or not np.isfinite(self.X_CO[[source, target]]).all():
-            return np.eye(4)
+            return inverse_np(self.X_WC[target]) @ self.X_WC[source]
         return self.X_CO[target] @ inverse_np(self.X_CO[source])
+
+    def object_in_world(self) -> np.ndarray:
+        """(T, 4, 4) the object in the world, or in the camera at rest; nan where not known."""
+        return self.X_WC @ self.X_CO
 
     def fits_by_frame(self) -> tuple[FittedHand | None, ...]:
         """(T,) the fits made so far."""
@@ -155,3 +162,9 @@ def object_poses(X_CO: np.ndarray | Sequence[np.ndarray | None] | None, count: i
         if pose is not None:
             out[number] = pose
     return out
+
+
+def camera_poses(frames: Sequence[Frame]) -> np.ndarray:
+    """(T, 4, 4) the cameras in the world; identities unless all frames say."""
+    known = [f.X_WC for f in frames if f.X_WC is not None]
+    return np.stack(known) if len(known) == len(frames) else np.tile(np.eye(4), (len(frames), 1, 1))

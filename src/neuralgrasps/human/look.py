@@ -10,7 +10,7 @@ import numpy as np
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.human.hand_video import HandVideo
 from neuralgrasps.human.seen import HandBox, SeenJoints, Side
-from neuralgrasps.human.sighting import HandFinder, BoxPath, box_depth, joints_box, linked_paths
+from neuralgrasps.human.sighting import BoxPath, HandFinder, box_depth, joints_box, linked_paths
 from neuralgrasps.perception.frame import Frame
 
 _LEAST_MEASURED = 0.2  # share of the pixels in the middle of the hand's boxes that must have a depth

@@ -1,0 +1,100 @@
+"""Whose hand it is: left or right, how large, and whether the camera's focal length lets it be anybody's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from neuralgrasps.human.focal import FocalCheck, hand_focal, object_focal, out_of_sizes
+from neuralgrasps.human.hand_fit import fit_hand, fit_size
+from neuralgrasps.human.hand_misfit import misfit
+from neuralgrasps.human.hand_video import HandVideo
+from neuralgrasps.human.seen import Side
+from neuralgrasps.human.sighting import side_vote
+
+_SURE_SIDE = 0.2  # mean vote of the frames, -0.5 to 0.5
+_OTHER: dict[Side, Side] = {"right": "left", "left": "right"}
+_SIZE_FRAMES = 8
+_MISFIT_M = 0.009  # median `misfit` of the best frames that speaks against the camera or the joints
+
+
+def decide_side(video: HandVideo, side: Side | None) -> None:
+    """By what the frames say; when they are unsure, and for joints from elsewhere, the side whose hand fits better."""
+    if side is not None:
+        video.side = side
+        return
+    if video.reader is not None:
+        vote = side_vote(list(video.boxes.values()))
+        video.side = "right" if vote >= 0 else "left"
+        if abs(vote) >= _SURE_SIDE:
+            return
+    said, other = video.side, _OTHER[video.side]
+    numbers = sorted(video.boxes, key=lambda n: (-video.boxes[n].score, n))[:: max(1, len(video.boxes) // 6)][:6]
+    apart = {one: _misfit_of_side(video, numbers, one) for one in (said, other)}
+    if apart[other] < 0.9 * apart[said]:
+        video.side = other
+        video.notes.append(f"taken for a {said} hand at first, but a {other} one fits better.")
+
+
+def _misfit_of_side(video: HandVideo, numbers: Sequence[int], side: Side) -> float:
+    """Median misfit over some frames of hands of one side, metres."""
+    apart = []
+    for n in numbers:
+        seen = video.see(n, side=side)
+        if seen is not None:
+            fitted = fit_hand(seen, video.cloud(n, side=side), side=side, scale=video.scale)
+            apart.append(misfit(fitted, video.cloud(n, side=side)) / max(float(np.mean(seen.weight)), 0.05))
+    return float(np.median(apart)) if apart else np.inf
+
+
+def measure_hand(video: HandVideo, coarse: Sequence[int]) -> str:
+    """Decide the hand's size from its best frames; why that cannot be done, or ""."""
+    best = _best_frames(video, coarse)
+    seen, clouds = [video.see(n) for n in best], [video.cloud(n) for n in best]
+    shown = [s for s in seen if s is not None]
+    if video.scale is None:
+        video.scale = fit_size(shown, clouds, side=video.side, objs=[video.held(n) for n in best])
+    apart = float(np.median([misfit(f, video.cloud(n)) for n in best if (f := video.fit(n)) is not None]))
+    if not out_of_sizes(video.scale) and apart < _MISFIT_M:
+        return ""
+    thing = _object_focal(video)
+    fits = thing is not None and abs(np.log(thing.factor)) < 0.08  # its size is known: no need to ask the hand
+    check = thing if fits or (thing is not None and thing.factor != 1.0) else hand_focal(shown, clouds, side=video.side)
+    if check is not None and abs(np.log(check.factor)) > 0.12:
+        return _wrong_camera(video, check, thing)
+    if out_of_sizes(video.scale):
+        video.notes.append(f"the hand's size, {video.scale:.2f} of the model, is at the edge of what people have.")
+    if apart >= _MISFIT_M:
+        video.notes.append(f"the hand model fits its points and joints only to {1e3 * apart:.0f} mm.")
+    return ""
+
+
+def _best_frames(video: HandVideo, coarse: Sequence[int]) -> list[int]:
+    """The frames that show most of the hand, ascending."""
+
+    def worth(n: int) -> float:
+        seen = video.see(n)
+        return 0.0 if seen is None else float(np.nansum(seen.weight)) * min(len(video.cloud(n)), 300)
+
+    return sorted(sorted(coarse, key=lambda n: (-worth(n), n))[:_SIZE_FRAMES])
+
+
+def _object_focal(video: HandVideo) -> FocalCheck | None:
+    """Of the first frame in which the object's pose is known and no hand is near."""
+    known = np.flatnonzero(np.isfinite(video.X_CO).all(axis=(1, 2)))
+    if video.obj is None or not len(known):
+        return None
+    free = [int(n) for n in known if n not in video.boxes]
+    number = free[0] if free else int(known[0])
+    return object_focal(video.frames[number], video.obj, video.X_CO[number])
+
+
+def _wrong_camera(video: HandVideo, check: FocalCheck, thing: FocalCheck | None) -> str:
+    k = video.frames[0].intrinsics
+    what = "the object" if check is thing else "a hand of any person's size"
+    return (
+        f"the intrinsics do not fit: with fx = {k.fx:.0f} {what} fits to {1e3 * check.residual_m:.1f} mm, with about "
+        f"{k.fx * check.factor:.0f} to {1e3 * check.best_m:.1f} mm. Give the focal lengths of the depth images, at "
+        "their size (were they of another resolution, or of the colour camera?)."
+    )
