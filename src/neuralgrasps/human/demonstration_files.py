@@ -14,7 +14,7 @@ from safetensors.numpy import load
 from neuralgrasps.errors import DataFormatError
 from neuralgrasps.files import write_whole
 from neuralgrasps.geometry.camera import Intrinsics
-from neuralgrasps.human.demonstration import UNITS_PER_METRE, DemonstrationTruth, RecordedDemonstration
+from neuralgrasps.human.recording import UNITS_PER_METRE, DemonstrationTruth, RecordedDemonstration
 from neuralgrasps.perception.frame_files import list_frames, read_colour, read_depth
 from neuralgrasps.tensor_files import tensor_bytes
 
@@ -49,7 +49,7 @@ def write_demonstration(folder: Path, recorded: RecordedDemonstration) -> None:
         "grasp_frame": truth.grasp_frame, "visible": [round(float(v), 4) for v in truth.visible],
         "X_WC": recorded.X_WC.tolist(), "notes": list(truth.notes),
     }  # fmt: skip
-    arrays = {name: np.asarray(getattr(truth, name), np.float64) for name in _ARRAYS}
+    arrays: dict[str, np.ndarray] = {name: np.asarray(getattr(truth, name), np.float64) for name in _ARRAYS}
     arrays["hand_mask_bits"] = np.packbits(truth.hand_mask, axis=-1)
     write_whole(folder / "strip.png", _png(film_strip(recorded)))
     write_whole(folder / "camera.json", json.dumps(camera, indent=1) + "\n")
