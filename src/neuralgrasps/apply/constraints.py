@@ -24,6 +24,7 @@ _LEAST_AREA = 0.005  # of the surface: a smaller patch cannot be held by two fin
 _Check = Callable[
     [Hand, np.ndarray, np.ndarray, np.ndarray | None], np.ndarray
 ]  # hand, X_OH, q, q_pregrasp -> (N,) bool
+_TOO_STEEP_RAD = np.radians(60.0)  # off straight up: a palm that rises more than that comes through the table
 _UP_COSINE = np.cos(np.radians(30.0))  # a face of an object counts as "+z" up to so much off the axis
 
 
@@ -275,12 +276,13 @@ class GraspConstraints:
                 )
 
     def _check_approach(self) -> None:
-        """Refuse a cone in which every direction comes up through the table."""
-        if self.approach_O is None or self.support is None:
+        """Refuse a side that cannot be up, and a cone in which every direction comes up through the table."""
+        support, axis_O, cone = self.support, self.approach_O, self.approach
+        if support is None or axis_O is None or cone is None:
             return
-        tilt = np.arccos(np.clip(self.approach_O @ self.up_O, -1.0, 1.0))
-        if tilt + self.approach.half_angle_rad < np.radians(60.0):  # type: ignore[union-attr]
+        tilt = np.arccos(np.clip(axis_O @ self.up_O, -1.0, 1.0))
+        if tilt + cone.half_angle_rad < _TOO_STEEP_RAD:
             raise InputError(
-                f"approach '{self.approach}' comes from below, through the table under '{self.obj.name}' with its "
+                f"approach '{cone}' comes from below, through the table under '{self.obj.name}' with its "
                 f"{self.side_up} side up. Approach from the side or from above, or leave the table out."
             )
