@@ -112,7 +112,8 @@ def search_starts(pair, target, hands, limit, least_epsilon, X_OH, q, difference
     """Close N hands from their starts, compare their contact maps, and judge those that come nearer than `limit`.
 
     `X_OH` (N, 4, 4) and `q` (N, J) become the closed hands'. `difference` (N,): of the contact maps, inf for hands that
-    could not close; `quality` (N,): epsilon, 0 unless the outcome is VALID, and above `least_epsilon` then; `outcome` (N,): of `assess`, or FAR.
+    could not close; `quality` (N,): epsilon, 0 unless it is above `least_epsilon` and all is well that comes before;
+    `outcome` (N,): of `assess`, or FAR.
     """
     scratch = new_scratch(pair)
     distance, q_start, idle = np.empty(target.points.shape[0]), np.empty(q.shape[1]), np.empty(q.shape[1], np.bool_)

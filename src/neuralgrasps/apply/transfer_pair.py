@@ -26,7 +26,7 @@ from neuralgrasps.synthesis.prepared import Memory, prepare_hand
 from neuralgrasps.synthesis.squeeze import PREGRASP_JAW_M, PREGRASP_RAD, joint_scale
 
 SPARSE = 256  # contact points that the search compares maps at; results are compared at all
-COARSE_M = 0.008  # spacing of the hand's points in the first rounds
+COARSE_M = 0.008  # spacing of the hand's points that the descent keeps out of the object
 CLOSING_OVERLAP_M = 0.001  # that closing may leave; settling takes it away
 
 
@@ -105,10 +105,14 @@ def _made_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
     turned = [tree.query(points[sparse] @ X[:3, :3].T + X[:3, 3])[1] for X in obj.symmetry.rotations]
     chosen = get_protocol(protocol)
     return TransferPair(
-        problem=problem, searching=searching,
-        coarse=replace(searching, packed=tools.packed, clusters=tools.clusters), hands=hands, sparse=sparse, turned=np.stack(turned),
+        problem=problem,
+        searching=searching,
+        coarse=replace(searching, packed=tools.packed, clusters=tools.clusters),
+        hands=hands,
+        sparse=sparse,
+        turned=np.stack(turned),
         trial=GraspTrial(hand, obj, chosen, model=grasp_model(hand, obj, chosen)),
-    )  # fmt: skip
+    )
 
 
 def target_of(query: TransferQuery, rows: np.ndarray | None = None) -> Target:

@@ -67,7 +67,7 @@ class TransferQuery:
 
 
 def contact_radius(obj: ObjectModel) -> float:
-    """Decay length, metres, of contact maps on this object: that of its codes (published: in proportion to its size)."""
+    """Decay length, metres, of contact maps on this object, in proportion to its size: that of its codes."""
     return DatasetConfig().contact_decay * normalisation_of(obj.points_O).scale_m
 
 
@@ -143,6 +143,6 @@ def _check_near(obj: ObjectModel, closeness: np.ndarray, radius: float, name: st
     nearest = -radius * np.log(max(float(closeness.max()), 1e-300))
     if nearest > FAR_M:
         raise InputError(
-            f"the nearest of {name} is {1e3 * nearest:.0f} mm from '{obj.name}'; expected points in the object's frame, "
-            "metres, some of them on its surface. Check the frame and the unit."
+            f"the nearest of {name} is {1e3 * nearest:.0f} mm from '{obj.name}'; expected points in the object's "
+            "frame, metres, some of them on its surface. Check the frame and the unit."
         )

@@ -11,12 +11,12 @@ from neuralgrasps.apply.transfer_descent import descend, map_problem
 from neuralgrasps.apply.transfer_kernels import Target, map_differences, search_starts
 from neuralgrasps.apply.transfer_pair import KnownMaps, TransferPair
 from neuralgrasps.apply.transfer_query import TransferQuery
+from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.synthesis.candidates import VALID
 
-Allows = Callable[[np.ndarray, np.ndarray], np.ndarray]
-KEEP = 10  # nearest hands that a search keeps apart from those it varies
+Allows = Callable[[np.ndarray, np.ndarray], np.ndarray]  # (N,) bool of X_OH (N, 4, 4) and what else is named
 _CHUNK = 64  # known grasps, by rank, that are asked at once whether they are allowed
 
 
@@ -25,22 +25,34 @@ class SearchConfig:
     """How far and how long to search.
 
     Attributes:
-        seeds: hands that are varied at a time. generations, children: rounds, and variations of each seed in one.
+        starts: known grasps that the search begins at; each is moved in `steps` steps down the difference of the maps,
+            then closed.
+        generations: rounds of varying the best `seeds` hands so far, `children` times each; variations are moved in
+            `child_steps` steps and closed.
         shift_m, turn_rad, curl: standard deviations of variations in the first round, curl in shares of the joints'
             ranges; each round's are `shrink` times the last one's.
         least_epsilon: closed hands below this quality are dropped.
     """
 
-    starts: int = 6
+    starts: int = 8
     steps: int = 12
-    seeds: int = 3
-    generations: int = 3
-    children: int = 20
-    shift_m: float = 0.005
-    turn_rad: float = 0.08
+    generations: int = 2
+    seeds: int = 2
+    children: int = 8
+    child_steps: int = 6
+    shift_m: float = 0.012
+    turn_rad: float = 0.2
     curl: float = 0.04
     shrink: float = 0.6
     least_epsilon: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("starts", "steps", "seeds", "children"):
+            if getattr(self, name) < 1:
+                raise InputError(f"transfer search: {name} is {getattr(self, name)}; expected at least 1.")
+        for name in ("generations", "child_steps", "shift_m", "turn_rad", "curl", "shrink", "least_epsilon"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(f"transfer search: {name} is {getattr(self, name)}; expected 0 or more.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -110,22 +122,18 @@ def rank_known(
     weight = (weight / weight.mean(axis=1, keepdims=True)).astype(np.float32)
     have = known.maps[:, pair.sparse]
     rough = np.stack([(np.abs(have - a) * w).mean(axis=1) for a, w in zip(asked, weight, strict=True)])  # (S, N)
-    best = rough.argmin(axis=0) if versions > 1 else np.zeros(rough.shape[1], np.int64)
     rotations = pair.problem.obj.symmetry.rotations
     order = np.argsort(rough, axis=None, kind="stable")
-    rows, turns, seen = [], [], set()
+    taken: dict[int, int] = {}  # row: symmetry
     for first in range(0, len(order), _CHUNK):
-        if len(rows) >= count:
+        if len(taken) >= count:
             break
-        turns_here, rows_here = np.unravel_index(order[first : first + _CHUNK], rough.shape)
-        fine = allows(rotations[turns_here] @ known.grasps.X_OH[rows_here], rows_here)
-        for row, symmetry in zip(rows_here[fine], turns_here[fine], strict=True):
-            if row not in seen and len(rows) < count:
-                seen.add(row)
-                rows.append(row)
-                turns.append(symmetry)
-    del best
-    row, symmetry = np.array(rows, np.int64), np.array(turns, np.int64)
+        turns, rows = np.unravel_index(order[first : first + _CHUNK], rough.shape)
+        fine = allows(rotations[turns] @ known.grasps.X_OH[rows], rows)
+        for row, symmetry in zip(rows[fine], turns[fine], strict=True):
+            if len(taken) < count:
+                taken.setdefault(int(row), int(symmetry))
+    row, symmetry = np.array(list(taken), np.int64), np.array(list(taken.values()), np.int64)
     X_OH = np.ascontiguousarray(rotations[symmetry] @ known.grasps.X_OH[row])
     q = np.ascontiguousarray(known.grasps.q[row])
     exact = map_differences(pair.problem.packed, target, X_OH, q)
@@ -140,13 +148,15 @@ def search(
     q: np.ndarray,
     *,
     config: SearchConfig,
-    allows: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    allows: Allows,
+    keep: int,
     rng: np.random.Generator,
 ) -> Found:
-    """Closed hands in force closure, found by varying the starts X_OH (N, 4, 4), q (N, J); the most alike first.
+    """Closed hands in force closure, found from the starts X_OH (N, 4, 4), q (N, J), N >= 1; the most alike first.
 
     Args:
-        allows: (N,) bool of closed hands X_OH, q. rng: the result depends on its state.
+        allows: (N,) bool of closed hands X_OH, q. keep: how many of the nearest are worth having, about.
+        rng: the result depends on its state.
     """
     hand, coarse = pair.problem.hand, pair.coarse.packed
     problem = map_problem(hand, pair.problem.obj, coarse, sparse)
@@ -163,7 +173,9 @@ def search(
                 np.argsort(cost, kind="stable")[: config.seeds]
             )
         X, joints = _varied(hand, best.X_OH, best.q, config, config.shrink**generation, rng)
-        limit = np.inf if len(pool) < KEEP else float(pool.difference[KEEP - 1])
+        X, joints = np.ascontiguousarray(X), np.ascontiguousarray(joints)
+        descend(coarse, problem, X, joints, config.child_steps, np.empty(len(joints)))
+        limit = np.inf if len(pool) < keep else float(pool.difference[keep - 1])
         parents = np.repeat(best.origin, config.children)
         pool = join_found([pool, _closed(pair, sparse, X, joints, parents, limit, config, allows)])
         pool = pool.take(np.argsort(pool.difference, kind="stable"))
@@ -178,7 +190,7 @@ def _closed(
     origin: np.ndarray,
     limit: float,
     config: SearchConfig,
-    allows: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    allows: Allows,
 ) -> Found:
     """Those of the starts that close to an allowed grasp nearer than `limit`."""
     arrays = pair.searching.arrays

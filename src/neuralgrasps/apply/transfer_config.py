@@ -1,0 +1,70 @@
+"""What a transfer can be told, and what a user may ask of hands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, get_args
+
+import numpy as np
+
+from neuralgrasps.apply.transfer_search import SearchConfig
+from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.sim.protocols import get_protocol
+
+Method = Literal["both", "retrieve", "generate"]
+
+
+class Constraint(Protocol):
+    """What hands a user allows."""
+
+    def allows(self, hand: Hand, X_OH: np.ndarray, q: np.ndarray, q_pregrasp: np.ndarray | None = None) -> np.ndarray:
+        """(N,) bool of hands X_OH (N, 4, 4) in the object frame, closed with joints q (N, J)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransferConfig:
+    """How a grasp is carried over.
+
+    Attributes:
+        method: "retrieve": known grasps only; "generate": new ones only; "both".
+        count: grasps wanted. trials: most grasps that are tried in physics.
+        protocol: physics protocol that decides.
+        use_symmetry: also take known grasps as the object's symmetry turns them.
+        apart_m: grasps of one answer differ at least by so much (`grasp_features`).
+        search: how new grasps are looked for.
+        synthesise: grasps that are made on the spot where none are known.
+        scale: difference of contact maps that has similarity 0; None: the largest from the query to a known grasp, or
+            between two known grasps.
+        alike: below this similarity the answer says why the hand cannot do better.
+    """
+
+    method: Method = "both"
+    count: int = 5
+    trials: int = 24
+    protocol: str = "dexgraspbench"
+    use_symmetry: bool = True
+    apart_m: float = 0.004
+    search: SearchConfig = field(default_factory=SearchConfig)
+    synthesise: int = 40
+    scale: float | None = None
+    alike: float = 0.5
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise unknown_name("method", self.method, get_args(Method))
+        for name in ("count", "trials", "synthesise"):
+            if getattr(self, name) < 1:
+                raise InputError(f"transfer: {name} is {getattr(self, name)}; expected at least 1.")
+        if self.scale is not None and not self.scale > 0:
+            raise InputError(
+                f"transfer: scale is {self.scale}; expected a difference of contact maps above 0, or None."
+            )
+        if not 0 <= self.apart_m < np.inf:
+            raise InputError(f"transfer: apart_m is {self.apart_m}; expected 0 or more, metres.")
+        get_protocol(self.protocol)
+
+
+# Nothing but the descent, and a trial whose forces end once nothing moves: a tenth of a second a transfer.
+FAST = TransferConfig(protocol="dexgraspbench-quick", count=1, search=SearchConfig(generations=0, starts=6))

@@ -1,0 +1,122 @@
+"""Candidates of a transfer in the order of their likeness, each finished and tried only when its turn comes."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from neuralgrasps.apply.transfer_config import TransferConfig
+from neuralgrasps.apply.transfer_kernels import Target, map_differences
+from neuralgrasps.apply.transfer_pair import TransferPair
+from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
+from neuralgrasps.sim.grasp_trial import silent_engine
+from neuralgrasps.sim.validate import verdict_parameters
+from neuralgrasps.synthesis.candidates import VALID, Candidates
+from neuralgrasps.synthesis.finish import finish_grasps
+from neuralgrasps.synthesis.select import grasp_features
+
+AllowsGrasps = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
+
+
+@dataclass(slots=True)
+class Candidate:
+    """A closed hand on its way to be a proven grasp.
+
+    Attributes:
+        origin: "retrieved" or "generated". source: place in the known set, -1: the query's palm. symmetry: by which
+            rotation of the object it was turned, 0: none.
+        X_OH: (4, 4); q: (J,) closed. grasp: once it is finished. difference: of its contact map from the query's.
+        proven: it held.
+    """
+
+    origin: str
+    source: int
+    symmetry: int
+    X_OH: np.ndarray
+    q: np.ndarray
+    difference: float
+    grasp: GraspSet | None = None
+    proven: bool = False
+
+
+class Order:
+    """A queue of candidates, the most alike first.
+
+    Attributes:
+        tried: trials so far. failed: candidates that did not hold, in the order of their trials.
+    """
+
+    def __init__(
+        self, pair: TransferPair, target: Target, config: TransferConfig, allows: AllowsGrasps, *, seed: int
+    ) -> None:
+        self._pair, self._target, self._config, self._allows, self._seed = pair, target, config, allows, seed
+        self._queue: list[tuple[float, int]] = []
+        self._items: list[Candidate] = []
+        self._taken: list[np.ndarray] = []
+        self.tried = 0
+        self.failed: list[Candidate] = []
+
+    def add(self, candidate: Candidate) -> None:
+        """Queue a candidate."""
+        heapq.heappush(self._queue, (candidate.difference, len(self._items)))
+        self._items.append(candidate)
+
+    def best(self, count: int) -> list[Candidate]:
+        """Up to `count` that hold, the most alike first, apart from each other."""
+        chosen: list[Candidate] = []
+        while self._queue and len(chosen) < count:
+            _, index = heapq.heappop(self._queue)
+            item = self._items[index]
+            if not self._is_new(item):
+                continue
+            if item.grasp is None:  # it keeps its place only if its finished self is as near
+                if self._finish(item):
+                    heapq.heappush(self._queue, (item.difference, index))
+            elif item.proven or self._prove(item):
+                chosen.append(item)
+                self._taken.append(self._features(item))
+        return chosen
+
+    def _features(self, item: Candidate) -> np.ndarray:
+        X_OH, q = (item.X_OH[None], item.q[None]) if item.grasp is None else (item.grasp.X_OH, item.grasp.q)
+        return grasp_features(self._pair.problem.hand, X_OH, q)[0]
+
+    def _is_new(self, item: Candidate) -> bool:
+        own = self._features(item)
+        return all(float(np.linalg.norm(own - other)) >= self._config.apart_m for other in self._taken)
+
+    def _finish(self, item: Candidate) -> bool:
+        """Settle a closed hand and compare its exact contact map; False where it is no grasp after all."""
+        X_OH, q = item.X_OH[None], item.q[None]
+        closed = Candidates(
+            X_OH=X_OH, q=q, q_start=q, epsilon=np.zeros(1), penetration_m=np.zeros(1),
+            outcome=np.full(1, VALID, np.int8),
+        )  # fmt: skip
+        grasp = finish_grasps(self._pair.problem, closed, protocol=self._config.protocol, seed=self._seed, config={})
+        if len(grasp) == 0 or not self._allows(grasp.X_OH, grasp.q, grasp.q_pregrasp)[0]:
+            return False
+        item.grasp = grasp
+        item.difference = float(map_differences(self._pair.problem.packed, self._target, grasp.X_OH, grasp.q)[0])
+        return True
+
+    def _prove(self, item: Candidate) -> bool:
+        """Whether a finished grasp holds in physics; False, untried, when there were enough trials."""
+        grasp, problem, protocol = item.grasp, self._pair.problem, self._config.protocol
+        if grasp is None or self.tried >= self._config.trials:
+            return False
+        self.tried += 1
+        with silent_engine():
+            outcome = self._pair.trial.run(grasp.X_OH[0], grasp.q_pregrasp[0], grasp.q[0], grasp.q_squeeze[0])
+        verdict = Verdict(
+            success=np.array([outcome.success]),
+            displacement_m=np.array([outcome.displacement_m]),
+            rotation_rad=np.array([outcome.rotation_rad]),
+            parameters=verdict_parameters(problem.hand, problem.obj, protocol),
+        )
+        item.grasp, item.proven = replace(grasp.with_verdict(protocol, verdict), config={}), outcome.success
+        if not outcome.success:
+            self.failed.append(item)
+        return outcome.success
