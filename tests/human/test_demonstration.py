@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.mesh import box_mesh, signed_distance
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.raster import rasterise
@@ -14,10 +15,12 @@ from neuralgrasps.hands.surface import hand_mesh, sample_hand_surface
 from neuralgrasps.hands.variants import scaled_hand
 from neuralgrasps.human.demonstration import DemonstrationConfig, NoPersonGraspError, record_demonstration
 from neuralgrasps.human.demonstration_files import read_demonstration, read_truth, write_demonstration
+from neuralgrasps.human.person_grasps import person_grasps
 from neuralgrasps.human.recording import UNITS_PER_METRE
 from neuralgrasps.human.skeleton import human_hand, joint_points
 from neuralgrasps.kinematics.forward_kernels import forward_numpy
 from neuralgrasps.perception.frame_files import read_frames
+from neuralgrasps.planning.resting_plane import resting_planes
 
 SMALL = {"width": 320, "height": 240}
 EXACT = DemonstrationConfig(side="left", scale=0.8, noise=None, lift=True, wall=True, clutter=2, **SMALL)
@@ -88,11 +91,27 @@ def test_the_hand_goes_through_neither_the_table_nor_the_object_and_never_jumps(
     assert opening > 0.15  # it came in open
 
 
+def test_the_grasp_is_one_that_held(exact, brick):
+    truth, up_O = exact.truth, (exact.X_WC @ exact.truth.X_CO[0])[2, :3]
+    plane_O = max(resting_planes(brick), key=lambda plane: plane.normal @ up_O)
+    grasps = person_grasps(brick, scale=0.8, side="left", plane_O=plane_O).grasps  # kept from the recording
+    same = np.abs(grasps.X_OH - truth.X_OH).max(axis=(1, 2)) < 1e-9
+    same &= np.abs(grasps.q - truth.q[truth.grasp_frame]).max(axis=1) < 1e-9
+    assert same.sum() == 1 and grasps.validated[same].all()
+    assert truth.kind == ("precision" if grasps.precision[same][0] else "power")
+
+
 def test_the_visible_share_says_what_is_hidden_and_outside(exact):
     truth = exact.truth
     assert truth.visible[truth.grasp_frame] >= EXACT.least_share
     assert ((truth.visible == 0) == ~truth.hand_mask.any(axis=(1, 2))).all()
-    assert truth.visible.max() <= 1.0 and truth.visible[0] < truth.visible[truth.grasp_frame]
+    k, hand = exact.intrinsics, scaled_hand(human_hand("left"), 0.8)
+    wide = Intrinsics(k.fx, k.fy, k.cx + k.width, k.cy + k.height, 3 * k.width, 3 * k.height)
+    partly = np.flatnonzero((truth.visible > 0.05) & (truth.visible < 0.98))
+    assert len(partly) >= 2
+    for t in (*partly, truth.grasp_frame):
+        alone = rasterise([hand_mesh(hand, truth.q[t])], truth.X_CH[t][None], wide).mesh_index >= 0
+        assert truth.visible[t] == pytest.approx(truth.hand_mask[t].sum() / alone.sum(), abs=0.02)
 
 
 def test_the_camera_stands_before_the_table_and_looks_at_the_object(exact):
