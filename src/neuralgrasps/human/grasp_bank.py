@@ -136,7 +136,7 @@ def thinned(mesh: Mesh, cell_m: float = _CELL_M) -> Mesh:
 
 
 def pack_meshes(meshes: list[Mesh]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Corners (V, 3), faces (F, 3) int32 into each mesh's own corners, and where each mesh's corners and faces begin."""
+    """Corners (V, 3), faces (F, 3) int32 into each mesh's own corners, where each mesh's corners and faces begin."""
     point_start = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     face_start = np.cumsum([0, *(len(m.faces) for m in meshes)])
     points = np.concatenate([m.vertices for m in meshes])

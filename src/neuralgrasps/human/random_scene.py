@@ -1,3 +1,4 @@
+# ruff: noqa: NPY002 - compiled code has the old generator only, seeded per scene
 """Random scenes with one right hand, for training images: what it holds, its forearm, a table, things around.
 
 A scene is triangles with labels in the camera frame; `draw_scene` renders it into any camera. The same seed gives the
