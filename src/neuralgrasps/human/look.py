@@ -16,6 +16,8 @@ from neuralgrasps.perception.frame import Frame
 _LEAST_MEASURED = 0.2  # share of the pixels in the middle of the hand's boxes that must have a depth
 _TOGETHER = 0.3  # share of a hand's frames that show another one too, from which there are two
 _SECOND = 0.4  # score of a second hand over the first one's
+_AS_CLEAR = 0.6  # weight of the joints over the usual one, from which on a hand that was not detected is there
+_LEAP_M = 0.08
 _HOLDING_M = 0.12  # a box's middle this near to the object's surface may hold it
 
 
@@ -67,6 +69,30 @@ def look(
         video.notes.append("a second hand is seen; the one nearer to the object was followed.")
     video.boxes.update(_joined(first, rest))
     return _depth_trouble(video, config)
+
+
+def followed_frames(video: HandVideo, config: LookConfig) -> list[int]:
+    """The frames of the first pass in which joints are seen, ascending.
+
+    Where the detector found nothing, the box follows from the nearest frame's joints; the hand must be about as
+    clear there and not far from where it was.
+    """
+    coarse = coarse_frames(len(video.frames), config)
+    found = [n for n in sorted(video.boxes) if video.see(n) is not None]
+    if video.reader is None or not found:
+        return found
+    usual = float(np.median([np.mean(s.weight) for n in found if (s := video.see(n)) is not None]))
+    first = found[0]
+    for n in coarse:
+        if n < first or n in found:
+            continue
+        before = max(k for k in found if k < n)
+        old, new = video.see(before), video.see(n)
+        if old is None or new is None or np.mean(new.weight) < _AS_CLEAR * usual:
+            continue
+        if np.nanmedian(np.linalg.norm(old.points_C - new.points_C, axis=1)) < _LEAP_M:
+            found = sorted([*found, n])
+    return found
 
 
 def _take_joints(video: HandVideo, joints: Sequence[SeenJoints | None], side: Side | None, config: LookConfig) -> str:

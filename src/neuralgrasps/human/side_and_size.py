@@ -16,6 +16,7 @@ from neuralgrasps.human.sighting import side_vote
 _SURE_SIDE = 0.2  # mean vote of the frames, -0.5 to 0.5
 _OTHER: dict[Side, Side] = {"right": "left", "left": "right"}
 _SIZE_FRAMES = 8
+_SAME_CAMERA, _OTHER_CAMERA = 0.08, 0.12  # log ratio of focal lengths that is none, and that is one
 _MISFIT_M = 0.009  # median `misfit` of the best frames that speaks against the camera or the joints
 
 
@@ -56,13 +57,13 @@ def measure_hand(video: HandVideo, coarse: Sequence[int]) -> str:
     if video.scale is None:
         video.scale = fit_size(shown, clouds, side=video.side, objs=[video.held(n) for n in best])
     apart = float(np.median([misfit(f, video.cloud(n)) for n in best if (f := video.fit(n)) is not None]))
-    if not out_of_sizes(video.scale) and apart < _MISFIT_M:
-        return ""
-    thing = _object_focal(video)
-    fits = thing is not None and abs(np.log(thing.factor)) < 0.08  # its size is known: no need to ask the hand
-    check = thing if fits or (thing is not None and thing.factor != 1.0) else hand_focal(shown, clouds, side=video.side)
-    if check is not None and abs(np.log(check.factor)) > 0.12:
-        return _wrong_camera(video, check, thing)
+    odd = out_of_sizes(video.scale) or apart >= _MISFIT_M
+    check = _object_focal(video, hidden=odd)
+    what = "the object"
+    if odd and (check is None or _SAME_CAMERA < abs(np.log(check.factor)) < _OTHER_CAMERA):
+        check, what = hand_focal(shown, clouds, side=video.side), "a hand of any person's size"
+    if check is not None and abs(np.log(check.factor)) > _OTHER_CAMERA:
+        return _wrong_camera(video, check, what)
     if out_of_sizes(video.scale):
         video.notes.append(f"the hand's size, {video.scale:.2f} of the model, is at the edge of what people have.")
     if apart >= _MISFIT_M:
@@ -80,21 +81,25 @@ def _best_frames(video: HandVideo, coarse: Sequence[int]) -> list[int]:
     return sorted(sorted(coarse, key=lambda n: (-worth(n), n))[:_SIZE_FRAMES])
 
 
-def _object_focal(video: HandVideo) -> FocalCheck | None:
-    """Of the first frame in which the object's pose is known and no hand is near."""
+def _object_focal(video: HandVideo, *, hidden: bool) -> FocalCheck | None:
+    """By the object in the first frame in which its pose is known and no hand is seen.
+
+    Args:
+        hidden: a frame with a hand will do.
+    """
     known = np.flatnonzero(np.isfinite(video.X_CO).all(axis=(1, 2)))
-    if video.obj is None or not len(known):
+    first_hand = min(video.boxes, default=0)
+    usable = known if hidden else known[known < first_hand]
+    if video.obj is None or not len(usable):
         return None
-    free = [int(n) for n in known if n not in video.boxes]
-    number = free[0] if free else int(known[0])
+    number = int(usable[0])
     return object_focal(video.frames[number], video.obj, video.X_CO[number])
 
 
-def _wrong_camera(video: HandVideo, check: FocalCheck, thing: FocalCheck | None) -> str:
+def _wrong_camera(video: HandVideo, check: FocalCheck, what: str) -> str:
     k = video.frames[0].intrinsics
-    what = "the object" if check is thing else "a hand of any person's size"
     return (
         f"the intrinsics do not fit: with fx = {k.fx:.0f} {what} fits to {1e3 * check.residual_m:.1f} mm, with about "
         f"{k.fx * check.factor:.0f} to {1e3 * check.best_m:.1f} mm. Give the focal lengths of the depth images, at "
-        "their size (were they of another resolution, or of the colour camera?)."
+        "their size (were they of another resolution, or of the colour camera?); or is the object of another size?"
     )

@@ -12,7 +12,7 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.human.fuse import seen_share
 from neuralgrasps.human.hand_cloud import CloudConfig
 from neuralgrasps.human.hand_video import HandVideo, camera_poses, object_poses
-from neuralgrasps.human.look import LookConfig, look
+from neuralgrasps.human.look import LookConfig, followed_frames, look
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
 from neuralgrasps.human.side_and_size import decide_side, measure_hand
 from neuralgrasps.human.sighting import HandFinder, JointSource
@@ -111,7 +111,7 @@ def watch_hand(
     if reason:
         return _track(video, "detect", reason)
     decide_side(video, side)
-    coarse = [n for n in sorted(video.boxes) if video.see(n) is not None]
+    coarse = followed_frames(video, config.look)
     if not coarse:
         return _track(video, "joints", _unread(video))
     reason = measure_hand(video, coarse)
