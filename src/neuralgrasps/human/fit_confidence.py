@@ -13,6 +13,7 @@ class FitEvidence:
     Attributes:
         cloud_rms_m: of the points near the hand; near_share: how many of all are; nan without points.
         links_seen: links of the hand that have such points.
+        joint_sd_m: standard deviation that the cost's curvature gives the fitted joints.
         joint_rms_m: length of the seen joints' errors; nan without joints.
         penetration_m: depth in the object.
     """
@@ -20,6 +21,7 @@ class FitEvidence:
     cloud_rms_m: float
     near_share: float
     links_seen: int
+    joint_sd_m: float
     joint_rms_m: float
     penetration_m: float
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from neuralgrasps.compiled import njit
+from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.human.fit_kernels import hand_cost_rows, in_hand, new_hand_work
 from neuralgrasps.model.fit_kernels import nearest_of_parts, part_poses_H
@@ -91,18 +92,32 @@ def lower_costs(packed, problem, X_CH, q, scale, iterations, enough, cost):  # t
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def step_matrix(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
-    """(27, 27) Gauss-Newton matrix at a result, joints at their limits held: the inverse covariance of the unknowns."""
+def curvature(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
+    """The Gauss-Newton matrix A (27, 27), and what the unknowns do to the 21 joints' places, J (63, 27), at a result.
+
+    Joints pressed against a limit are held: their rows and columns of A are zero.
+    """
     size = 7 + q.shape[0]
-    A, b = np.empty((size, size)), np.empty(size)
+    A, b, J = np.empty((size, size)), np.empty(size), np.zeros((3 * problem.joint_link.shape[0], size))
     work = new_hand_work(packed, problem.cloud_C.shape[0])
     hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b)
     _hold_limits(packed, q, A, b)
     for i in range(size):
-        A[i, i] += 1e-6
         for j in range(i):
             A[j, i] = A[i, j]
-    return A
+    for k in range(problem.joint_link.shape[0]):
+        link, c = problem.joint_link[k], problem.joint_L[k]
+        y = moved_point(work.X_HL[link], c[0], c[1], c[2])
+        rows = J[3 * k : 3 * k + 3]
+        for i in range(3):
+            rows[i, i] = scale
+            rows[i, size - 1] = scale * y[i] if problem.free_scale else 0.0
+            up, down = (i + 1) % 3, (i + 2) % 3  # (w x y)_i = w_up y_down - w_down y_up
+            rows[i, 3 + up], rows[i, 3 + down] = scale * y[down], -scale * y[up]
+            for j in range(q.shape[0]):
+                t = work.twists[link, j]
+                rows[i, 6 + j] = scale * (t[i] + t[3 + up] * y[down] - t[3 + down] * y[up])
+    return A, J
 
 
 @njit(cache=True, error_model="numpy", nogil=True)

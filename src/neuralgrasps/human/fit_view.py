@@ -11,6 +11,7 @@ from neuralgrasps.errors import check_shape
 from neuralgrasps.perception.frame import Frame
 
 _MARGIN = 0.35  # of the mask's longer side, around it
+_MOST_PX = 120  # of the crop; a larger one is thinned
 _FAR = 1 << 14
 
 
@@ -45,10 +46,12 @@ def hand_view(frame: Frame, mask: np.ndarray, *, mirrored: bool = False) -> Hand
         return no_view()
     margin = int(_MARGIN * max(rows[-1] - rows[0], columns[-1] - columns[0])) + 2
     top, left = max(int(rows[0]) - margin, 0), max(int(columns[0]) - margin, 0)
-    place = np.s_[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
+    bottom, right = int(rows[-1]) + margin + 1, int(columns[-1]) + margin + 1
+    step = 1 + max(bottom - top, right - left) // _MOST_PX
+    place = np.s_[top:bottom:step, left:right:step]
     depth, shown = np.asarray(frame.depth[place], np.float64), np.asarray(mask[place], bool)
     camera, k = np.empty(4), frame.intrinsics
-    camera[:] = k.fx, k.fy, k.cx - left, k.cy - top
+    camera[:] = k.fx / step, k.fy / step, (k.cx - left) / step, (k.cy - top) / step
     if mirrored:
         depth, shown = depth[:, ::-1], shown[:, ::-1]
         camera[2] = depth.shape[1] - 1 - camera[2]

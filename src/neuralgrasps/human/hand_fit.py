@@ -16,7 +16,7 @@ from neuralgrasps.hands.variants import mirror_matrix
 from neuralgrasps.human.fit_confidence import FitEvidence, confidence, reasons_against
 from neuralgrasps.human.fit_kernels import HandProblem
 from neuralgrasps.human.fit_start import hand_starts
-from neuralgrasps.human.fit_steps import cloud_distances, lower_costs
+from neuralgrasps.human.fit_steps import cloud_distances, curvature, lower_costs
 from neuralgrasps.human.fit_view import hand_view, no_view
 from neuralgrasps.human.postures import usual_postures
 from neuralgrasps.human.seen import FittedHand, SeenJoints, Side
@@ -129,7 +129,11 @@ def fit_hand(
         raise InputError(f"scale is {scale}; expected a size above 0, such as 0.8, or None.")
     problem = hand_problem(seen, cloud_C, side=side, scale=scale, obj=obj, frame=frame, config=config)
     X, q, sizes = _first_starts(problem, start, scale, config)
-    first = problem._replace(cloud_width=max(config.first_width_m, config.cloud_width_m))
+    first = problem._replace(
+        cloud_C=np.ascontiguousarray(problem.cloud_C[::2]),
+        cloud_weight=2.0 * problem.cloud_weight,
+        cloud_width=max(config.first_width_m, config.cloud_width_m),
+    )
     cost = np.empty(len(q))
     lower_costs(_model().packed, first, X, q, sizes, 6, 1e-2, cost)
     lower_costs(_model().packed, problem, X, q, sizes, config.iterations, 1e-3, cost)
@@ -306,6 +310,7 @@ def _result(problem: HandProblem, X: np.ndarray, q: np.ndarray, scale: float, *,
         cloud_rms_m=float(np.sqrt(np.mean(distance[near] ** 2))) if near.any() else float("nan"),
         near_share=float(near.mean()) if len(near) else float("nan"),
         links_seen=len(np.unique(link[near])),
+        joint_sd_m=_joint_deviation(problem, X, q, scale),
         joint_rms_m=float(np.sqrt(np.mean(miss**2))) if known.any() else float("nan"),
         penetration_m=_penetration(problem, X, q, scale),
     )
@@ -333,3 +338,13 @@ def _penetration(problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: f
     out = np.empty(len(points_O))
     grid_distances(problem.sdf_values, problem.sdf_origin, problem.sdf_inv_spacing, points_O, out)
     return max(-float(out.min()), 0.0)
+
+
+def _joint_deviation(problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: float) -> float:
+    """Standard deviation of the joints' places (root mean square length), metres, by the curvature of the cost.
+
+    Linear, and as if the residuals were independent: of use to compare fits, not as a length to rely on.
+    """
+    A, J = curvature(_model().packed, problem, X_CH, q, scale)
+    A[np.diag_indices_from(A)] += np.where(A.diagonal() > 0.0, 1e-6, 1e12)  # what is held does not move
+    return float(np.sqrt(np.einsum("ij,jk,ik->", J, np.linalg.inv(A), J) / NUM_JOINTS))
