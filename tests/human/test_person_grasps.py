@@ -10,7 +10,8 @@ from neuralgrasps.geometry.mesh import box_mesh, signed_distance
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.hands.extent import lowest_height
 from neuralgrasps.hands.variants import scaled_hand
-from neuralgrasps.human.forearm import ForearmSize, WristAxes, forearm_directions, tapered_mesh
+from neuralgrasps.human.forearm import ForearmSize, WristAxes, forearm_directions, is_clear, tapered_mesh
+from neuralgrasps.human.hand_path import find_path
 from neuralgrasps.human.person_grasps import person_grasps, table_frame
 from neuralgrasps.human.skeleton import human_hand, joint_points
 from neuralgrasps.objects.cache import home_folder
@@ -102,3 +103,31 @@ def test_no_forearm_fits_a_hand_whose_thumb_points_down():
     assert np.isinf(forearm_directions(hand, X[None], nothing, scale=SCALE)[1]).all()
     X[:3, :3] = np.stack([axes.out, np.cross(axes.thumb, axes.out), axes.thumb])
     assert np.isfinite(forearm_directions(hand, X[None], nothing, scale=SCALE)[1]).all()
+
+
+def test_a_forearm_is_clear_by_its_radius():
+    size, wrist, along = ForearmSize.of(SCALE), np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.0])
+    radius = float(size.radius(np.array(0.1)))
+    assert radius == pytest.approx(0.0236 + 0.1 / 0.27 * 0.0172)
+    for gap, clear in ((0.002, False), (0.006, True)):
+        beside = np.array([[0.1, radius + gap, 0.3]])
+        assert is_clear(wrist, along, beside, size) is clear
+    nothing = np.full((1, 3), 9.0)
+    for height, clear in ((size.elbow_m + 0.004, False), (size.elbow_m + 0.008, True)):
+        assert is_clear(np.array([0.0, 0.0, height]), along, nothing, size) is clear
+
+
+@pytest.mark.parametrize(("aside", "found"), [(0.0, False), (0.6, False), (1.5, True)])  # in it, fingers in it, off it
+def test_no_way_leads_through_an_object(make_object, aside, found):
+    hand, block = scaled_hand(human_hand(), SCALE), make_object("block", box_mesh([0.5, 0.5, 0.2]))
+    axes, X_WO, X_WH = WristAxes.of(hand), np.eye(4), np.eye(4)
+    X_WO[2, 3] = 0.2
+    X_WH[:3, :3] = np.stack([axes.out, np.cross(axes.back, axes.out), axes.back])
+    X_WH[:3, 3] = [aside, 0.0, 0.2]
+    rng = np.random.default_rng(0)
+    path = find_path(hand, block, X_WO, X_WH, hand.preshape_upper, axes.out, scale=SCALE, rng=rng)
+    assert (path is not None) == found
+    if path is not None:
+        np.testing.assert_allclose(path.poses(np.zeros(1))[0], X_WH, atol=1e-12)
+        np.testing.assert_array_equal(path.joints(np.ones(1))[0], hand.preshape_upper)
+        assert path.poses(np.ones(1))[0, 2, 3] > 0.25
