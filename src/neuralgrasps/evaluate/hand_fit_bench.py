@@ -129,8 +129,9 @@ def _fit(shown: HandFrame, seen: SeenJoints, cloud: np.ndarray, *, side: Side, s
 
 def _is_right(shown: HandFrame, seen: SeenJoints) -> bool:
     """Whether the true side fits better than its mirror image, by the points and by the joints."""
-    cloud, sides = _cloud(shown, seen), ("right", "left")
-    right, left = (_fit(shown, seen, cloud, side=side, scale=shown.scale) for side in sides)
+    cloud = _cloud(shown, seen)
+    right = _fit(shown, seen, cloud, side="right", scale=shown.scale)
+    left = _fit(shown, seen, cloud, side="left", scale=shown.scale)
     return right.confidence > left.confidence
 
 
