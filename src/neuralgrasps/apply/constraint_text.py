@@ -5,15 +5,58 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from neuralgrasps.apply.constraints import ApproachCone
+from neuralgrasps.apply.constraints import MARGIN_M, ApproachCone, GraspConstraints
 from neuralgrasps.apply.regions import AXES, OUTER_THIRD, SIDES, Ball, Box, Points, Region, Side
 from neuralgrasps.errors import InputError, unknown_name
+from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame_files import read_cloud
 
 REGION_FORMS = "box:x0,y0,z0,x1,y1,z1, sphere:x,y,z,r (metres, object frame), file:points.ply"
 _UNITS = {"deg": math.pi / 180, "°": math.pi / 180, "rad": 1.0}
 _WORLD_WORDS = {"down": "world:-z", "up": "world:+z"}
+
+
+def constraints_from_text(
+    obj: ObjectModel,
+    *,
+    only_region: Sequence[str] = (),
+    keep_free: Sequence[str] = (),
+    approach: tuple[str, str] | None = None,
+    up: str | None = None,
+    margin_m: float = MARGIN_M,
+) -> GraspConstraints:
+    """Constraints on grasps of an object, as they are typed: keep_free=["top:0.25"], approach=("-z", "30deg"), up="+z".
+
+    Args:
+        only_region, keep_free: `parse_region` of each. approach: `parse_approach` of both.
+        up: side that faces up on a table. margin_m: what the hand keeps from `keep_free`.
+    Raises:
+        InputError, UnknownNameError: a text that cannot be read, or constraints that no hand can meet.
+    """
+    fields = constraint_fields(
+        only_region=only_region, keep_free=keep_free, approach=approach, up=up, margin_m=margin_m
+    )
+    return GraspConstraints(obj=obj, **fields)
+
+
+def constraint_fields(
+    *,
+    only_region: Sequence[str],
+    keep_free: Sequence[str],
+    approach: tuple[str, str] | None,
+    up: str | None,
+    margin_m: float,
+) -> dict[str, Any]:
+    """What `GraspConstraints` takes besides the object, from texts; arguments as for `constraints_from_text`."""
+    return {
+        "only_region": parse_regions(only_region),
+        "keep_free": parse_regions(keep_free),
+        "approach": None if approach is None else parse_approach(*approach),
+        "side_up": None if up is None else parse_side_up(up),
+        "margin_m": margin_m,
+    }
 
 
 def parse_region(text: str) -> Region:
@@ -46,7 +89,13 @@ def parse_region(text: str) -> Region:
 
 
 def parse_regions(texts: Sequence[str]) -> tuple[Region, ...]:
-    """`parse_region` of each."""
+    """`parse_region` of each.
+
+    Raises:
+        InputError: one text where a list of them is expected.
+    """
+    if isinstance(texts, str):
+        raise InputError(f"regions are '{texts}'; expected a list of them, such as ['{texts}'].")
     return tuple(parse_region(text) for text in texts)
 
 

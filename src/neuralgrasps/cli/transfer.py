@@ -86,20 +86,14 @@ def transfer(
         hands: files of hands that are not built in and have moved.
         objects: the same for objects.
     """
-    from neuralgrasps.apply.constraint_text import parse_approach, parse_regions, parse_side_up
+    from neuralgrasps.apply.constraint_text import constraint_fields
     from neuralgrasps.apply.constraints import GraspConstraints
     from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.cli.transfer_query import ask_grasp, ask_points, open_known
 
     check_seed(seed)
     config = TransferConfig(method=method, count=count, protocol=protocol)
-    wanted: dict[str, Any] = {
-        "only_region": parse_regions(only_region),
-        "keep_free": parse_regions(keep_free),
-        "approach": None if approach is None else parse_approach(*approach),
-        "side_up": None if up is None else parse_side_up(up),
-        "margin_m": margin,
-    }
+    wanted = constraint_fields(only_region=only_region, keep_free=keep_free, approach=approach, up=up, margin_m=margin)
     if sum(v is not None for v in (query, query_cloud, contacts)) != 1:
         raise InputError("give one query: --query FILE[:ROW] (or HAND:ROW), --query-cloud FILE or --contacts FILE.")
     for path in (out, report):
