@@ -15,6 +15,7 @@ from neuralgrasps.grasps.contact_map import contact_map_packed
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.fingerprint import fingerprint
 from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.grasp_cache import pair_fingerprint
 from neuralgrasps.sim.build import grasp_model
@@ -26,7 +27,7 @@ from neuralgrasps.synthesis.prepared import Memory, prepare_hand
 from neuralgrasps.synthesis.squeeze import PREGRASP_JAW_M, PREGRASP_RAD, joint_scale
 
 SPARSE = 256  # contact points that the search compares maps at; results are compared at all
-COARSE_M = 0.008  # spacing of the hand's points that the descent keeps out of the object
+PROBES_M = 0.008  # spacing of the hand's points that the descent keeps out of the object
 CLOSING_OVERLAP_M = 0.001  # that closing may leave; settling takes it away
 
 
@@ -36,7 +37,7 @@ class TransferPair:
 
     Attributes:
         problem: as `synthesise` sees it; searching: the same, judged by what counts as contact when finished;
-            coarse: the same, with fewer points on the hand.
+            probes: fewer points on the hand, that the descent keeps out of the object.
         hands: how the hand opens. sparse: (M,) rows of the object's contact points that the search looks at.
         turned: (S, M) the contact point nearest to where each of the sparse ones goes by each symmetry.
         trial: ready to try grasps; not for two threads at once.
@@ -44,7 +45,7 @@ class TransferPair:
 
     problem: GraspProblem
     searching: GraspProblem
-    coarse: GraspProblem
+    probes: PackedHand
     hands: Hands
     sparse: np.ndarray
     turned: np.ndarray
@@ -91,7 +92,7 @@ def forget() -> None:
 def _made_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
     problem = novel_problem(hand, obj, protocol)
     searching = replace(problem, max_penetration_m=CLOSING_OVERLAP_M, contact_threshold_m=TOUCH_M)
-    tools = prepare_hand(hand, spacing=COARSE_M)
+    tools = prepare_hand(hand, spacing=PROBES_M)
     rates = np.abs(hand.closing_rate) / max(float(np.abs(hand.closing_rate).max()), 1e-9)
     step = np.sign(hand.closing_rate) * joint_scale(hand, PREGRASP_RAD, PREGRASP_JAW_M) * rates
     hands = Hands(
@@ -107,7 +108,7 @@ def _made_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
     return TransferPair(
         problem=problem,
         searching=searching,
-        coarse=replace(searching, packed=tools.packed, clusters=tools.clusters),
+        probes=tools.packed,
         hands=hands,
         sparse=sparse,
         turned=np.stack(turned),

@@ -158,10 +158,10 @@ def search(
         allows: (N,) bool of closed hands X_OH, q. keep: how many of the nearest are worth having, about.
         rng: the result depends on its state.
     """
-    hand, coarse = pair.problem.hand, pair.coarse.packed
-    problem = map_problem(hand, pair.problem.obj, coarse, sparse)
+    hand, probes = pair.problem.hand, pair.probes
+    problem = map_problem(hand, pair.problem.obj, probes, sparse)
     X_near, q_near, cost = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q).copy(), np.empty(len(q))
-    descend(coarse, problem, X_near, q_near, config.steps, cost)
+    descend(probes, problem, X_near, q_near, config.steps, cost)
     X_all, q_all, own = np.concatenate([X_near, X_OH]), np.concatenate([q_near, q]), np.arange(len(q))
     origin = np.concatenate([own, own])
     pool = _closed(pair, sparse, X_all, q_all, origin, np.inf, config, allows)
@@ -174,7 +174,7 @@ def search(
             )
         X, joints = _varied(hand, best.X_OH, best.q, config, config.shrink**generation, rng)
         X, joints = np.ascontiguousarray(X), np.ascontiguousarray(joints)
-        descend(coarse, problem, X, joints, config.child_steps, np.empty(len(joints)))
+        descend(probes, problem, X, joints, config.child_steps, np.empty(len(joints)))
         limit = np.inf if len(pool) < keep else float(pool.difference[keep - 1])
         parents = np.repeat(best.origin, config.children)
         pool = join_found([pool, _closed(pair, sparse, X, joints, parents, limit, config, allows)])

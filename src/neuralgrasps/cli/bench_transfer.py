@@ -1,0 +1,104 @@
+"""`neuralgrasps bench transfer`: grasps carried over between all hands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from neuralgrasps.cli.terminal import Terminal
+
+QUICK_QUERIES = 2
+_NOTES = {
+    "queries": "grasps that the run was not fitted to, of each hand on each object, carried over to each of the hands; "
+    "only grasps that the run was fitted to are searched and started from. Grasps of the target hand itself are among "
+    "the sources (same hand): there the query's palm pose is told, so they are easier, and listed apart",
+    "transfer_success": "first result holds in dexgraspbench, of all queries. The transfer tries its candidates in the "
+    "same protocol until one holds, so this is the share of queries for which one is found; transfer_success_hard "
+    "(half of the friction) and _shake (the object's own weight and friction) are the same grasps under protocols that "
+    "chose nothing, beside the shares of the known grasps there",
+    "similarity": "1 - d / D: d the mean absolute difference of contact maps at 2,048 points; D the largest d of the "
+    "object's matrix of unseen and known grasps of all hands (the published normalisation)",
+    "oracle": "the known grasp of the target hand most alike, in every orientation that the object's symmetry allows; "
+    "no_symmetry: as it is. Whether the turned grasp holds is not asked of the oracle",
+    "transfer_s": "processor time, one thread, mean, until the first result has held; what is kept per pair of hand "
+    "and object is at hand, compiling is not in it; transfer_wall_s beside whatever else the machine does",
+    "alone": "retrieve_alone and generate_alone: similarity of the first result that holds, by one method only",
+    "fast": "the descent only, without variations, and the choice by dexgraspbench-quick; success is by dexgraspbench "
+    "in full",
+}
+
+
+def bench_transfer(
+    terminal: Terminal,
+    *,
+    objects: Sequence[str],
+    hands: Sequence[str],
+    count: int | None,
+    seed: int,
+    workers: int | None,
+    quick: bool,
+) -> dict[str, Any]:
+    """Config, figures, what is absent and why, notes and tables of the benchmark.
+
+    Args:
+        objects: names, files or folders of those of the shipped runs; default the seven scans where they are here,
+            else the built-in seven.
+        hands: of the run; default all. count: queries per hand and object; default 10, quick 2.
+    """
+    from dataclasses import asdict
+
+    from neuralgrasps.cli.bench_execute import execute_objects
+    from neuralgrasps.cli.evaluate import open_run
+    from neuralgrasps.cli.evaluate_run import grasps_of
+    from neuralgrasps.cli.models import open_objects
+    from neuralgrasps.errors import InputError
+    from neuralgrasps.evaluate.transfer_bench import TransferBenchConfig
+    from neuralgrasps.evaluate.transfer_bench import bench_transfer as measure
+    from neuralgrasps.evaluate.transfer_figures import FIGURES, transfer_figures, transfer_tables
+    from neuralgrasps.model.run_notes import read_notes, run_folder, shipped_runs
+    from neuralgrasps.parallel import available_cpus
+
+    sources = execute_objects(objects)
+    with terminal.progress("reading the run"):
+        models = open_objects(sources)
+        names = {run: set(read_notes(run_folder(run)).objects) & set(models) for run in shipped_runs()}
+        chosen = max(names, key=lambda run: len(names[run]))
+        if not names[chosen]:
+            raise InputError(f"no shipped run has grasps of {', '.join(models)}; expected objects of one of them.")
+        given = tuple(s for s, model in zip(sources, models, strict=True) if model in names[chosen])
+        run = open_run(run_folder(chosen), (), given)
+    grasps_of(run, run_folder(chosen))
+    queries = count or (QUICK_QUERIES if quick else 10)
+    config = TransferBenchConfig(queries=queries, hands=tuple(hands), seed=seed)
+    with terminal.progress("transfer", "pairs") as bar:
+        bench = measure(run, config=config, objects=sorted(names[chosen]), workers=workers, progress=bar)
+    figures, tables = transfer_figures(bench), transfer_tables(bench)
+    _show(terminal, tables)
+    absent = {name: "not measured" for name in FIGURES if name not in figures}
+    shown = {
+        **asdict(config),
+        "quick": quick,
+        "workers": workers or available_cpus(),
+        "wall_s": bench.wall_s,
+        "transfers": len(bench.trials),
+        "objects": {name: run.field.object(name).provenance.get("source", "") for name in sorted(names[chosen])},
+        "run": chosen,
+    }
+    failures = [
+        {"object": t.object, "source": t.source, "target": t.target, "query": t.query}
+        for t in bench.trials
+        if not t.held
+    ]
+    return {
+        "config": shown, "figures": figures, "absent": absent, "notes": _NOTES, "table": tables, "failures": failures,
+    }  # fmt: skip
+
+
+def _show(terminal: Terminal, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+    numbers = (
+        "count", "success", "similarity", "oracle", "minus_oracle", "retrieved", "generated_alone", "generated_share",
+        "hard", "shake", "cpu_s", "fast_success", "fast_cpu_s",
+    )  # fmt: skip
+    for labels, name in ((("source", "target"), "pairs"), (("target",), "targets"), (("object",), "objects")):
+        columns = (*labels, *numbers)
+        terminal.table(columns, [[row[c] for c in columns] for row in tables[name]])
