@@ -1,0 +1,49 @@
+"""`neuralgrasps human record`: what it writes, says and refuses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from neuralgrasps.geometry.mesh import box_mesh
+from neuralgrasps.human.demonstration_files import read_truth
+from neuralgrasps.perception.frame_files import read_frames
+from tests.cli.conftest import Ended
+
+Call = Callable[..., Ended]
+
+
+def test_recordings_are_videos_with_their_truth(ng: Call, tmp_path: Path) -> None:
+    asked = ("human", "record", "--object", "gelatin_box", "--side", "right", "--scale", 0.78, "--seed", 2)
+    made = ng(*asked, "--count", 2, "--no-noise", "--out", tmp_path / "videos")
+    assert made.code == 0 and made.result["failures"] == [] and len(made.result["recordings"]) == 2
+    for seed, (name, record) in enumerate(zip(("000", "001"), made.result["recordings"], strict=True), start=2):
+        folder = tmp_path / "videos" / name
+        assert (record["folder"], record["side"], record["scale"], record["seed"]) == (str(folder), "right", 0.78, seed)
+        truth, frames = read_truth(folder), read_frames(folder)
+        assert len(frames) == len(truth.q) == record["frames"] and truth.object == "gelatin_box"
+        assert frames[0].colour is not None and frames[0].X_WC is not None
+        assert truth.still[0] <= record["grasp_frame"] < truth.still[1]
+        with Image.open(folder / "strip.png") as strip:
+            assert strip.width > 5 * strip.height and np.ptp(np.asarray(strip)) > 100
+    assert "78" in made.out and "right" in made.out
+
+
+def test_an_object_that_no_hand_grasps_ends_with_code_1_and_the_reason(ng: Call, tmp_path: Path) -> None:
+    block, path = box_mesh([0.15, 0.15, 0.15]), tmp_path / "block.off"
+    rows = [*(" ".join(map(str, v)) for v in block.vertices), *(f"3 {a} {b} {c}" for a, b, c in block.faces)]
+    path.write_text("\n".join(["OFF", "8 12 0", *rows]))
+    asked = ("human", "record", "--object", path, "--unit", "m", "--side", "left", "--scale", 0.7)
+    ended = ng(*asked, "--out", tmp_path / "videos")
+    assert ended.code == 1 and "too wide" in ended.out and ended.result["recordings"] == []
+    assert not (tmp_path / "videos").exists()
+
+
+def test_what_cannot_be_is_refused(ng: Call, tmp_path: Path) -> None:
+    asked = ("human", "record", "--object", "gelatin_box", "--out", tmp_path / "videos")
+    assert "0.66 to 0.92" in ng(*asked, "--scale", 1.0).err
+    assert "--count is 0" in ng(*asked, "--count", 0).err
+    assert ng("human", "record", "--object", "gelatin_bok", "--out", tmp_path / "videos").code == 2
