@@ -78,7 +78,7 @@ def _query_text(asked: Asked, constraints: GraspConstraints) -> str:
 def _notes(record: Mapping[str, Any]) -> list[str]:
     notes = [f"Constraint: {name}." for name in record["constraints"]]
     if record["reason"]:
-        notes.append(f"Fewer than wanted: {record['reason']}.")
+        notes.append(f"{record['reason'][:1].upper()}{record['reason'][1:]}.")
     if record["constraints_on_known"]:
         notes.append(f"Known grasps: {record['constraints_on_known']}.")
     return notes
