@@ -18,7 +18,7 @@ _TOGETHER = 0.3  # share of a hand's frames that show another one too, from whic
 _SECOND = 0.4  # score of a second hand over the first one's
 _AS_CLEAR = 0.6  # weight of the joints over the usual one, from which on a hand that was not detected is there
 _LEAP_M = 0.08
-_HOLDING_M = 0.12  # a box's middle this near to the object's surface may hold it
+_HOLDING_M = 0.15  # a box's middle this near to the object's surface may hold it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

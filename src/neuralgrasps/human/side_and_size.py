@@ -52,8 +52,7 @@ def _misfit_of_side(video: HandVideo, numbers: Sequence[int], side: Side) -> flo
 def measure_hand(video: HandVideo, coarse: Sequence[int]) -> str:
     """Decide the hand's size from its best frames; why that cannot be done, or ""."""
     best = _best_frames(video, coarse)
-    seen, clouds = [video.see(n) for n in best], [video.cloud(n) for n in best]
-    shown = [s for s in seen if s is not None]
+    shown, clouds = [s for n in best if (s := video.see(n)) is not None], [video.cloud(n) for n in best]
     if video.scale is None:
         video.scale = fit_size(shown, clouds, side=video.side, objs=[video.held(n) for n in best])
     apart = float(np.median([misfit(f, video.cloud(n)) for n in best if (f := video.fit(n)) is not None]))
@@ -61,7 +60,7 @@ def measure_hand(video: HandVideo, coarse: Sequence[int]) -> str:
     check = _object_focal(video, hidden=odd)
     what = "the object"
     if odd and (check is None or _SAME_CAMERA < abs(np.log(check.factor)) < _OTHER_CAMERA):
-        check, what = hand_focal(shown, clouds, side=video.side), "a hand of any person's size"
+        check, what = hand_focal(shown[::2], clouds[::2], side=video.side), "a hand of any person's size"
     if check is not None and abs(np.log(check.factor)) > _OTHER_CAMERA:
         return _wrong_camera(video, check, what)
     if out_of_sizes(video.scale):

@@ -1,0 +1,211 @@
+"""A hand's grasp in a video; and what is said where there is none to see."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from neuralgrasps.errors import InputError
+from neuralgrasps.human.look import LookConfig, coarse_frames
+from neuralgrasps.human.seen import SeenJoints
+from neuralgrasps.human.watch import watch_hand
+
+STILL_FROM = 9  # of `grasp_video`
+
+
+def _watched(video, eyes, **changes):
+    given = dict(detector=eyes, reader=eyes, obj=video.obj, X_CO=video.X_CO)
+    return watch_hand(changes.pop("frames", video.frames), **{**given, **changes})
+
+
+def test_the_grasp_is_found_and_fits(grasp_video, true_eyes):
+    track = _watched(grasp_video, true_eyes(video=grasp_video))
+    assert (track.stage, track.reason) == ("", "")
+    assert track.side == "right" and track.scale == pytest.approx(0.8, abs=0.03)
+    assert track.moment >= STILL_FROM and min(track.still) >= STILL_FROM - 1 and len(track.still) >= 10
+    assert "thumb" in track.contacts and len(track.contacts) >= 3
+    assert grasp_video.surface_error(track) < 0.004
+    assert track.grasp.confidence > 0.5 and track.visible > 0.3
+    assert track.frames[0] is None and track.frames[track.moment] is not None
+    assert len(track.cloud_C) > 100
+
+
+def test_fusing_frames_beats_one_frame(grasp_video, true_eyes):
+    track = _watched(grasp_video, true_eyes(video=grasp_video))
+    fused = np.linalg.norm(track.grasp.joints_C - grasp_video.joints_C[track.moment], axis=1).mean()
+    alone = [np.linalg.norm(track.frames[n].joints_C - grasp_video.joints_C[n], axis=1).mean() for n in track.still]
+    assert fused < np.mean(alone)
+
+
+def test_the_same_twice(grasp_video, true_eyes):
+    one, two = (_watched(grasp_video, true_eyes(video=grasp_video)) for _ in range(2))
+    np.testing.assert_array_equal(one.grasp.X_CH, two.grasp.X_CH)
+    np.testing.assert_array_equal(one.grasp.q, two.grasp.q)
+
+
+def test_a_left_hand_is_the_mirror_image(grasp_video, true_eyes):
+    video = grasp_video.mirrored()
+    left = _watched(video, true_eyes(video=video, side="left", said="left"))
+    assert left.side == "left" and left.grasp.side == "left" and left.stage == ""
+    error = np.linalg.norm(left.grasp.joints_C - video.joints_C[left.moment], axis=1)
+    assert error.mean() < 0.006
+
+
+@pytest.mark.parametrize("said", ["right", "left"])
+def test_an_unsure_side_is_decided_by_the_fit(grasp_video, true_eyes, said):
+    track = _watched(grasp_video, true_eyes(video=grasp_video, said=said, sure=0.55))
+    assert track.side == "right" and track.stage == ""
+    assert any("fits better" in r for r in track.reasons) == (said == "left")
+
+
+def test_a_lifted_object_takes_the_hand_along(grasp_video, true_eyes):
+    """Half of the still frames are seen with camera and object moved together: the pose of the object tells."""
+    X_CO = grasp_video.X_CO.copy()
+    X_CO[16:, :3, 3] += [0.0, -0.05, 0.0]
+    joints = grasp_video.joints_C.copy()
+    joints[16:] += [0.0, -0.05, 0.0]
+    given = [
+        SeenJoints(points_C=p, weight=np.ones(21), mask=None, side="right", source="test") if np.isfinite(p).all()
+        else None for p in joints
+    ]  # fmt: skip
+    track = watch_hand(grasp_video.frames, joints=given, obj=grasp_video.obj, X_CO=X_CO)
+    assert track.stage == "" and STILL_FROM <= track.moment < 16  # before it moves
+
+
+def test_given_joints_need_no_detector(grasp_video):
+    rng = np.random.default_rng(0)
+    given = [
+        SeenJoints(points_C=p + 0.004 * rng.normal(size=p.shape), weight=np.ones(21), mask=None, side="left",
+                   source="test") if np.isfinite(p).all() else None for p in grasp_video.joints_C
+    ]  # fmt: skip
+    track = watch_hand(grasp_video.frames, joints=given, obj=grasp_video.obj, X_CO=grasp_video.X_CO[0])
+    assert track.side == "right"  # they said left
+    assert grasp_video.surface_error(track) < 0.005
+
+
+def test_one_frame_is_enough_but_less_sure(grasp_video, true_eyes):
+    last = [replace(grasp_video.frames[-1])]
+    track = _watched(grasp_video, true_eyes(video=grasp_video), frames=last, X_CO=grasp_video.X_CO[-1])
+    assert track.stage == "" and track.moment == 0
+    assert any("kept still" in reason for reason in track.reasons)
+
+
+def test_an_unknown_object_leaves_contact_open(grasp_video, true_eyes):
+    track = _watched(grasp_video, true_eyes(video=grasp_video), obj=None, X_CO=None)
+    assert track.stage == "" and track.contacts == ()
+    assert any("not known" in reason for reason in track.reasons)
+
+
+def test_no_hand(grasp_video, true_eyes):
+    track = _watched(
+        grasp_video, true_eyes(video=grasp_video), frames=grasp_video.frames[:3], X_CO=grasp_video.X_CO[:3]
+    )
+    assert track.stage == "detect" and "no hand was found in 3 frames" in track.reason
+    assert track.grasp is None and track.moment == -1
+
+
+def test_nothing_in_range(grasp_video, true_eyes):
+    far = [replace(f, depth=4.0 * f.depth) for f in grasp_video.frames[:3]]
+    track = _watched(grasp_video, true_eyes(video=grasp_video), frames=far, X_CO=grasp_video.X_CO[:3])
+    assert track.stage == "detect" and "hardly anything lies" in track.reason
+
+
+def test_a_hand_out_of_range(grasp_video, true_eyes):
+    far = [replace(f, depth=3.0 * f.depth) for f in grasp_video.frames]
+    track = _watched(grasp_video, true_eyes(video=grasp_video), frames=far)
+    assert track.stage == "detect" and "m from the camera; expected" in track.reason
+
+
+def test_a_hand_without_depth(grasp_video, true_eyes):
+    holes = [
+        replace(f, depth=np.where(m, 0.0, f.depth)) for f, m in zip(grasp_video.frames, grasp_video.masks, strict=True)
+    ]
+    for frame in holes:
+        frame.depth[40:200, 60:260] = 0.0
+    track = _watched(grasp_video, true_eyes(video=grasp_video), frames=holes)
+    assert track.stage == "detect" and "of its pixels have a depth" in track.reason
+
+
+class _TwoHands:
+    """The hand's box, and another one at the edge of the image, or just beside."""
+
+    def __init__(self, eyes, shift):
+        self.eyes, self.shift, self.read = eyes, shift, eyes.read
+
+    def find(self, frame):
+        boxes = self.eyes.find(frame)
+        aside = [self.shift * (b.u_max - b.u_min) for b in boxes]
+        return boxes + [
+            replace(b, u_min=b.u_min + du, u_max=b.u_max + du, score=0.85) for b, du in zip(boxes, aside, strict=True)
+        ]
+
+
+def test_two_hands_at_the_object(grasp_video, true_eyes):
+    track = _watched(grasp_video, _TwoHands(true_eyes(video=grasp_video), 0.6))
+    assert track.stage == "detect" and "two hands" in track.reason
+
+
+def test_a_second_hand_far_from_the_object_is_let_be(grasp_video, true_eyes):
+    track = _watched(grasp_video, _TwoHands(true_eyes(video=grasp_video), -1.2))
+    assert track.stage == "" and any("second hand" in reason for reason in track.reasons)
+    assert grasp_video.surface_error(track) < 0.004
+
+
+def test_no_still_phase(grasp_video, true_eyes):
+    frames, X_CO = grasp_video.frames[3:8], grasp_video.X_CO[3:8]
+    track = _watched(grasp_video, true_eyes(video=grasp_video), frames=frames, X_CO=X_CO)
+    assert track.stage == "grasp" and "never keeps still" in track.reason
+
+
+def test_a_hand_that_rests_elsewhere(grasp_video, true_eyes):
+    X_CO = grasp_video.X_CO.copy()
+    X_CO[:, :3, 3] += 0.25 * X_CO[:, :3, 0]
+    track = _watched(grasp_video, true_eyes(video=grasp_video), X_CO=X_CO)
+    assert track.stage == "grasp" and "never touches the object" in track.reason
+    assert track.scale == pytest.approx(0.8, abs=0.03)
+
+
+@pytest.mark.parametrize(("factor", "known"), [(0.7, True), (1.4, True), (0.7, False)])
+def test_wrong_focal_lengths_are_noticed(grasp_video, true_eyes, factor, known):
+    k = grasp_video.frames[0].intrinsics
+    wrong = [replace(f, intrinsics=replace(k, fx=factor * k.fx, fy=factor * k.fy)) for f in grasp_video.frames]
+    X_CO = grasp_video.X_CO.copy()
+    X_CO[:, :2, 3] /= factor
+    obj = grasp_video.obj if known else None
+    track = _watched(grasp_video, true_eyes(video=grasp_video, stretch=factor), frames=wrong, X_CO=X_CO, obj=obj)
+    assert track.stage == "size" and "intrinsics do not fit" in track.reason
+    if known:
+        said = float(track.reason.split("with about ")[1].split(" ")[0])
+        assert said == pytest.approx(k.fx, rel=0.06)
+
+
+def test_hands_are_followed_where_the_detector_misses_them(grasp_video, true_eyes):
+    class Blinking:
+        def __init__(self, eyes):
+            self.eyes, self.read = eyes, eyes.read
+
+        def find(self, frame):
+            return self.eyes.find(frame) if int(frame.name) % 4 == 0 else []
+
+    track = _watched(grasp_video, Blinking(true_eyes(video=grasp_video)))
+    assert track.stage == "" and len(track.still) >= 10
+
+
+def test_bad_input_is_refused(grasp_video, true_eyes):
+    eyes = true_eyes(video=grasp_video)
+    with pytest.raises(InputError, match="no frames"):
+        watch_hand([], detector=eyes, reader=eyes)
+    with pytest.raises(InputError, match="nothing finds the hand"):
+        watch_hand(grasp_video.frames, detector=eyes)
+    with pytest.raises(InputError, match="joints are given for 1 frames, but there are 24"):
+        watch_hand(grasp_video.frames, joints=[None])
+    track = watch_hand(grasp_video.frames, joints=[None] * 24)
+    assert track.stage == "detect" and "show no hand" in track.reason
+
+
+def test_long_videos_are_looked_at_coarsely():
+    assert coarse_frames(24, LookConfig()) == list(range(24))
+    assert coarse_frames(100, LookConfig())[:3] == [0, 2, 4]
+    assert coarse_frames(600, LookConfig())[:3] == [0, 6, 12]
