@@ -18,12 +18,7 @@ _BACKGROUND = (58, 60, 64)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Thing:
-    """A mesh with one colour.
-
-    Attributes:
-        mesh: in its own frame M; None of it moves in M, or `vertices` of `drawn` say how.
-        colour: red, green, blue, 0 to 255.
-    """
+    """A mesh with one colour: red, green, blue, 0 to 255."""
 
     mesh: Mesh
     colour: tuple[int, int, int]
@@ -51,8 +46,12 @@ class ShadedScene:
         self, *, intrinsics: Intrinsics, X_WC: np.ndarray, light_W: np.ndarray, stay: Sequence[Thing],
         move: Sequence[Thing],
     ) -> None:  # fmt: skip
-        """Args: light_W: (3,) place of the light, metres. stay: meshes in W. move: meshes whose vertices each picture
-        gives."""
+        """Draw what stays.
+
+        Args:
+            light_W: (3,) place of the light, metres.
+            stay: meshes in W. move: meshes of which only the faces count: `draw` is given their vertices.
+        """
         self.intrinsics, self.X_WC = intrinsics, X_WC
         self._X_CW = np.linalg.inv(X_WC)
         self._light_W = np.asarray(light_W, np.float64)
@@ -66,6 +65,8 @@ class ShadedScene:
         self._count = len(stay)
         self._depth, self._face = self._drawn(vertices_W, self._stay[0], 0, *self._blank())
         self._normals = _normals(vertices_W, self._stay[0])
+        self._by_light = np.full((_SHADOW_PIXELS, _SHADOW_PIXELS), np.inf, np.float32)
+        self._light_up(vertices_W, self._stay[0], self._by_light)
 
     def _blank(self) -> tuple[np.ndarray, np.ndarray]:
         shape = (self.intrinsics.height, self.intrinsics.width)
@@ -82,6 +83,12 @@ class ShadedScene:
         )  # fmt: skip
         return depth, face
 
+    def _light_up(self, vertices_W: np.ndarray, faces: np.ndarray, by_light: np.ndarray) -> None:
+        """Draw triangles into what the light sees."""
+        k, points_L = self._shadow, _moved(self._X_LW, vertices_W)
+        unused, labels = np.zeros(by_light.shape, np.int8), np.zeros(len(faces), np.int8)
+        raster_labels(points_L, faces, labels, k.fx, k.fy, k.cx, k.cy, NEAR_M, by_light, unused)
+
     def draw(self, vertices_W: Sequence[np.ndarray]) -> Picture:
         """The picture with the moving things' vertices (V, 3) at these places, one array for each of `move`."""
         points = np.concatenate(vertices_W) if vertices_W else np.zeros((0, 3))
@@ -90,18 +97,13 @@ class ShadedScene:
         depth, face = self._drawn(points, faces, len(stay_faces), self._depth.copy(), self._face.copy())
         normals = np.concatenate([self._normals, _normals(points, faces)])
         owners = np.concatenate([stay_owner, owner + self._count])
-        light = self._shadow
-        seen_by_light = np.full((light.height, light.width), np.inf, np.float32)
-        unused = np.zeros(seen_by_light.shape, np.int8)
-        raster_labels(
-            _moved(self._X_LW, points), faces, np.zeros(len(faces), np.int8), light.fx, light.fy, light.cx, light.cy,
-            NEAR_M, seen_by_light, unused,
-        )  # fmt: skip
+        by_light = self._by_light.copy()
+        self._light_up(points, faces, by_light)
         k = self.intrinsics
         index, colour = np.full(depth.shape, -1, np.int16), np.empty((*depth.shape, 3), np.uint8)
         _shade(
             depth, face, owners, normals, self._colours, np.array(_BACKGROUND, np.float64), self.X_WC,
-            np.array([k.fx, k.fy, k.cx, k.cy]), self._light_W, self._X_LW, seen_by_light, light.fx, index, colour,
+            np.array([k.fx, k.fy, k.cx, k.cy]), self._light_W, self._X_LW, by_light, self._shadow.fx, index, colour,
         )  # fmt: skip
         return Picture(depth=np.where(face >= 0, depth, np.float32(0.0)), index=index, colour=colour)
 
@@ -135,7 +137,7 @@ def _normals(vertices, faces):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _shade(depth, face, owners, normals, colours, background, X_WC, k, light, X_LW, by_light, focal, index, out):  # type: ignore[no-untyped-def]
-    """Lambert's law with a sky, a fill from the camera, and a soft shadow of what moves."""
+    """Lambert's law with a sky, a fill from the camera, and a soft shadow."""
     half = 0.5 * (by_light.shape[0] - 1)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
