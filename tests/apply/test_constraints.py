@@ -65,14 +65,15 @@ def test_a_hand_that_only_hovers_over_what_is_kept_free_is_refused(box_world: Bo
     assert near.clearance(hand, X, q)[0] == pytest.approx(reach[grasp], abs=0.003)
 
 
-def test_the_open_hand_keeps_clear_too(box_world: BoxWorld) -> None:
+def test_the_hand_before_closing_keeps_clear_too(box_world: BoxWorld) -> None:
     g, hand = box_world.grasps, box_world.hand
-    rules = GraspConstraints(obj=box_world.obj, keep_free=(Side("+z", 0.3),), margin_m=0.0)
-    X, closed = np.array(g.X_OH), np.array(g.q)
-    X[:, :3, 3] += 1.0  # nothing near, but a hand before closing that is
-    assert rules.allows(hand, X, closed, closed).all()
-    both = rules.allows(hand, g.X_OH, g.q, g.q_pregrasp)
-    assert not (both & ~rules.allows(hand, g.X_OH, g.q)).any()
+    opened = np.tile(hand.q_open, (len(g), 1))
+    rules = GraspConstraints(
+        obj=box_world.obj, keep_free=tuple(Side(s, 0.01) for s in ("+x", "-x", "+y", "-y")), margin_m=0.002
+    )
+    shut, wide = rules.allows(hand, g.X_OH, g.q), rules.allows(hand, g.X_OH, opened)
+    assert (wide & ~shut).any()  # jaws that hold the box touch its sides, open ones do not
+    assert (rules.allows(hand, g.X_OH, opened, g.q) == (wide & shut)).all()
 
 
 def test_only_a_region_is_touched(box_world: BoxWorld) -> None:

@@ -93,7 +93,7 @@ def test_what_is_kept_free_is_red_and_what_may_be_touched_green(obj: ObjectModel
 def test_contacts_are_seen_from_their_side(obj: ObjectModel) -> None:
     for side in (1.0, -1.0):
         drawn = np.array([[side * HALF[0], 0.0, 0.01], [side * HALF[0], 0.0, -0.01]])
-        view = touched_view(obj, query_from_contacts(obj, drawn).contact_map)
+        view = touched_view(obj, [(query_from_contacts(obj, drawn).contact_map, None)])
         assert view[0] * side > 0.3
     assert len(point_surface(np.zeros((0, 3)))) == 0
     (balls,) = point_surface(np.zeros((2, 3)))

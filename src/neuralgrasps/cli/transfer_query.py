@@ -89,7 +89,8 @@ def ask_grasp(known: Known, text: str, object_name: str | None) -> Asked:
     from neuralgrasps.apply.transfer_query import query_from_grasp
 
     spec, row = _split_row(text)
-    grasps = _run_grasps(known, spec, object_name) if _names_hand(known, spec) else _file_grasps(spec, object_name)
+    of_run = known.run is not None and spec in known.run.field.hands and not Path(spec).is_file()
+    grasps = _run_grasps(known, spec, object_name) if of_run else _file_grasps(spec, object_name)
     if not 0 <= row < len(grasps):
         raise InputError(f"--query asks for grasp {row}; '{spec}' holds {len(grasps)} grasps, numbered from 0.")
     hand = known.hand(grasps.config.get("hand_source", grasps.hand) if Path(spec).is_file() else grasps.hand)
@@ -134,11 +135,6 @@ def _split_row(text: str) -> tuple[str, int]:
     return (match[1], int(match[2])) if match and not Path(text).exists() else (text, 0)
 
 
-def _names_hand(known: Known, spec: str) -> bool:
-    """Whether the query names a hand of the run and not a file."""
-    return known.run is not None and spec in known.run.field.hands and not Path(spec).is_file()
-
-
 def _run_grasps(known: Known, hand: str, object_name: str | None) -> GraspSet:
     assert known.run is not None
     objects = [name for h, name in known.run.grasps if h == hand]
@@ -155,7 +151,7 @@ def _file_grasps(spec: str, object_name: str | None) -> GraspSet:
 
     if not Path(spec).exists():
         raise InputError(
-            f"--query '{spec}' is neither a grasp file nor a hand of the run; expected FILE[:ROW] or HAND[:ROW]."
+            f"--query '{spec}' is neither a grasp file nor a hand of a run given; expected FILE[:ROW] or HAND[:ROW]."
         )
     grasps = load_grasps(Path(spec))
     if object_name is not None and object_name != grasps.object and not Path(object_name).exists():

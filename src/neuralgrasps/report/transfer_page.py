@@ -32,29 +32,44 @@ TOUCHED = 0.6  # closeness from which a point of the object counts as touched, f
 FREE_COLOUR, ONLY_COLOUR = "#c2412f", "#2f8f5b"
 _POINTS_SHOWN, _POINT_COLOUR = 400, "#b3372b"
 _FEW, _FEW_M, _MANY_M = 30, 0.0035, 0.0015
+_APART = 1000  # more than fingers or contacts of one
 _CONTACTS = 40  # points of the object that stand for all that is touched, for the choice of the view
 
 
 Posed = tuple[Hand, np.ndarray, np.ndarray]  # a hand, X_OH (4, 4) and q (J,)
 
 
-def touched_view(obj: ObjectModel, closeness: np.ndarray, posed: Posed | None = None) -> np.ndarray:
-    """(3,) direction towards the camera that shows most of what a contact map touches, object frame.
+def touched_view(obj: ObjectModel, touches: Sequence[tuple[np.ndarray, Posed | None]]) -> np.ndarray:
+    """(3,) direction towards the camera that shows most of what contact maps touch, object frame.
 
     Args:
-        closeness: (P,) at `obj.points_O`. posed: the hand of the map, if it is known; every finger then counts alike.
+        touches: contact maps (P,) at `obj.points_O`, each with its hand where that is known; every finger counts alike,
+            and the view is one that no hand stands in.
     """
-    touched = np.flatnonzero(closeness >= min(TOUCHED, float(closeness.max())))
-    points = obj.points_O[touched[farthest_points(obj.points_O[touched], min(_CONTACTS, len(touched)))]]
-    if posed is None:
-        return contact_direction([], [], obj.mesh, points, np.arange(len(points)))
+    meshes: list[Mesh] = []
+    owners: list[int] = []
+    points, fingers = [], []
+    for k, (closeness, posed) in enumerate(touches):
+        touched = np.flatnonzero(closeness >= min(TOUCHED, float(closeness.max())))
+        chosen = obj.points_O[touched[farthest_points(obj.points_O[touched], min(_CONTACTS, len(touched)))]]
+        points.append(chosen)
+        if posed is None:
+            fingers.append(k * _APART + np.arange(len(chosen)))
+            continue
+        hand, X_OH, q = posed
+        owner = k * _APART + finger_of_link(hand)[[part.link for part in hand.parts]]
+        meshes += [part.transformed(X_OH) for part in hand_part_meshes(hand, q, segments=8)]
+        owners += owner.tolist()
+        fingers.append(owner[_nearest_part(posed, chosen)])
+    return contact_direction(meshes, owners, obj.mesh, np.concatenate(points), np.concatenate(fingers))
+
+
+def _nearest_part(posed: Posed, points_O: np.ndarray) -> np.ndarray:
+    """(M,) which part of a hand is nearest to each point."""
     hand, X_OH, q = posed
-    owner = finger_of_link(hand)
-    fingers = np.array([owner[part.link] for part in hand.parts])
     X_OL = X_OH @ forward_fast(hand.tree, q[None])[0]
-    far = [part_distances(part, (points - X_OL[part.link, :3, 3]) @ X_OL[part.link, :3, :3]) for part in hand.parts]
-    meshes = [part.transformed(X_OH) for part in hand_part_meshes(hand, q, segments=8)]
-    return contact_direction(meshes, fingers.tolist(), obj.mesh, points, fingers[np.argmin(far, axis=0)])
+    far = [part_distances(part, (points_O - X_OL[part.link, :3, 3]) @ X_OL[part.link, :3, :3]) for part in hand.parts]
+    return np.argmin(far, axis=0)
 
 
 def marked_object(obj: ObjectModel, constraints: GraspConstraints | None) -> Surface:
@@ -108,10 +123,11 @@ def transfer_list(
         shown: grasps, at most. progress: called with (drawn, to draw).
     """
     count = min(shown, len(result.grasps))
-    view, thing = touched_view(obj, query.contact_map, grasp), marked_object(obj, constraints)
     asked = point_surface(np.zeros((0, 3)) if points_O is None else points_O) if grasp is None else _hand(grasp)
     kept = result.grasps[:count]
     maps = contact_map_packed(obj.points_O, pack_shapes(hand), kept.X_OH, kept.q, radius=query.radius_m)
+    best = [(maps[0], (hand, kept.X_OH[0], kept.q[0]))] if count else []
+    view, thing = touched_view(obj, [(query.contact_map, grasp), *best]), marked_object(obj, constraints)
     free = np.full(count, np.inf) if constraints is None else constraints.clearance(hand, kept.X_OH, kept.q)
     drawn = []
     for i in range(count):
