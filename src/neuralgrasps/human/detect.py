@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from neuralgrasps.errors import DataFormatError, InputError
+from neuralgrasps.errors import InputError
 from neuralgrasps.human.detector_loss import box_overlap
-from neuralgrasps.human.detector_net import Cells, DetectorNet
+from neuralgrasps.human.detector_net import Cells, DetectorNet, fuse
 from neuralgrasps.human.detector_view import detector_view
+from neuralgrasps.human.net_files import ASSETS, read_weights
 from neuralgrasps.human.seen import HandBox
-from neuralgrasps.model.train_state import read_tensors
 from neuralgrasps.perception.frame import Frame
 
-WEIGHTS = Path(__file__).parent.parent / "assets" / "human" / "detector.safetensors"
+WEIGHTS = ASSETS / "detector.safetensors"
 
 SURE = 0.5
 """Default score from which a box is called a hand."""
@@ -42,8 +42,9 @@ class HandDetector:
     """A trained network; see `load`."""
 
     def __init__(self, net: DetectorNet) -> None:
-        """Take a network; it is changed for use (`DetectorNet.fused`)."""
-        self._net = net.fused()
+        """Take a network; it is changed for use (`detector_net.fuse`)."""
+        fuse(net)
+        self._net = net
 
     @staticmethod
     def load(path: str | Path | None = None) -> HandDetector:
@@ -53,15 +54,8 @@ class HandDetector:
             InputError: no such file.
             DataFormatError: it is damaged or of another network.
         """
-        path = WEIGHTS if path is None else Path(path)
-        if not path.is_file():
-            raise InputError(f"weights '{path}' do not exist; `human train detector --out FILE` makes such a file.")
-        tensors, _ = read_tensors(path)
         net = DetectorNet()
-        try:
-            net.load_state_dict({name: value.float() for name, value in tensors.items()})
-        except RuntimeError as error:
-            raise DataFormatError(f"'{path}' holds no weights of this network: {error}.") from error
+        read_weights(net, WEIGHTS if path is None else path)
         return HandDetector(net)
 
     def find(self, frame: Frame, *, threshold: float = SURE) -> list[HandBox]:

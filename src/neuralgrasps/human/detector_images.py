@@ -6,7 +6,7 @@ The same seed gives the same images, whatever is drawn before or beside them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +68,20 @@ class DetectorImages:
 
     def __getitem__(self, rows: slice) -> DetectorImages:
         return DetectorImages(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+
+def with_mirrored(images: DetectorImages) -> DetectorImages:
+    """Images, then each of them in the mirror: left hands become right ones."""
+    u_min, v_min, u_max, v_max = np.moveaxis(images.boxes, -1, 0)
+    last = images.depth.shape[2] - 1
+    mirrored = replace(
+        images,
+        depth=images.depth[:, :, ::-1],
+        boxes=np.stack([last - u_max, v_min, last - u_min, v_max], axis=-1),
+        right=~images.right,
+    )
+    both = {f.name: np.concatenate([getattr(images, f.name), getattr(mirrored, f.name)]) for f in fields(images)}
+    return DetectorImages(**both)
 
 
 class _View(NamedTuple):

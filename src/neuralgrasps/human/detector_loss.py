@@ -13,7 +13,7 @@ from neuralgrasps.human.detector_net import STRIDES, Cells
 _CENTRE_RADIUS = 1.5  # cells so near the box's middle belong to it, cell widths (FCOS)
 _LARGE_PX, _SMALL_PX = 36.0, 52.0  # longer side: fine cells take boxes up to the second, coarse ones from the first on
 _FOCUS = 2.0  # exponent of the quality focal loss
-_SIDE_SHARE, _BOX_SHARE = 0.3, 2.0
+_SIDE_SHARE, _BOX_SHARE = 0.5, 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -56,17 +56,17 @@ class DetectorNet(nn.Module):
     def __init__(self, widths: tuple[int, int, int, int] = (16, 32, 64, 96), neck: int = 64) -> None:
         super().__init__()
         w2, w4, w8, w16 = widths
-        self.stem = _Conv(3, w2, stride=2)
-        self.fine = nn.Sequential(_Conv(w2, w4, stride=2), _Residual(w4))
-        self.middle = nn.Sequential(_Conv(w4, w8, stride=2), _Residual(w8), _Residual(w8))
-        self.coarse = nn.Sequential(_Conv(w8, w16, stride=2), _Residual(w16), _Residual(w16, dilation=2))
+        self.stem = ConvBlock(3, w2, stride=2)
+        self.fine = nn.Sequential(ConvBlock(w2, w4, stride=2), ResidualBlock(w4))
+        self.middle = nn.Sequential(ConvBlock(w4, w8, stride=2), ResidualBlock(w8), ResidualBlock(w8))
+        self.coarse = nn.Sequential(ConvBlock(w8, w16, stride=2), ResidualBlock(w16), ResidualBlock(w16, dilation=2))
         self.lateral = nn.ModuleList([nn.Conv2d(w8, neck, 1), nn.Conv2d(w16, neck, 1)])
-        self.mixed = _Conv(neck, neck)
+        self.mixed = ConvBlock(neck, neck)
         last = nn.Conv2d(neck, 6, 3, padding=1)
         nn.init.zeros_(cast(Tensor, last.bias)[1])
         nn.init.constant_(cast(Tensor, last.bias)[0], math.log(_PRIOR / (1.0 - _PRIOR)))
         nn.init.ones_(cast(Tensor, last.bias)[2:])
-        self.head = nn.Sequential(_Conv(neck, neck), _Conv(neck, neck), last)
+        self.head = nn.Sequential(ConvBlock(neck, neck), ConvBlock(neck, neck), last)
         self.scale = nn.Parameter(torch.ones(len(STRIDES)))
 
     def forward(self, depth: Tensor) -> Cells:
@@ -86,14 +86,6 @@ class DetectorNet(nn.Module):
         said, reach, middles = torch.cat(logits, 1), torch.cat(extents, 1), torch.cat(centres)
         boxes = torch.cat([middles - reach[..., :2], middles + reach[..., 2:]], -1)
         return Cells(score=said[..., 0], right=said[..., 1], boxes=boxes, centres=middles, strides=torch.cat(strides))
-
-    def fused(self) -> DetectorNet:
-        """This network, for use: batch normalisation folded into the convolutions; weights are frozen."""
-        self.eval().requires_grad_(False)
-        for module in self.modules():
-            if isinstance(module, _Conv) and isinstance(module.norm, nn.BatchNorm2d):
-                module.conv, module.norm = fuse_conv_bn_eval(module.conv, module.norm), nn.Identity()
-        return self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
 
 def depth_channels(depth: Tensor) -> Tensor:
@@ -116,7 +108,7 @@ def cell_centres(rows: int, columns: int, stride: int, device: torch.device) -> 
     return torch.stack(torch.meshgrid(u, v, indexing="xy"), -1).reshape(-1, 2)
 
 
-class _Conv(nn.Module):
+class ConvBlock(nn.Module):
     """3 x 3 convolution, batch normalisation, ReLU."""
 
     def __init__(self, inputs: int, outputs: int, *, stride: int = 1, dilation: int = 1) -> None:
@@ -128,12 +120,21 @@ class _Conv(nn.Module):
         return F.relu(self.norm(self.conv(x)))
 
 
-class _Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """Two convolutions and the way around them."""
 
     def __init__(self, width: int, *, dilation: int = 1) -> None:
         super().__init__()
-        self.first, self.second = _Conv(width, width, dilation=dilation), _Conv(width, width, dilation=dilation)
+        self.first, self.second = ConvBlock(width, width, dilation=dilation), ConvBlock(width, width, dilation=dilation)
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.second(self.first(x))
+
+
+def fuse(net: nn.Module) -> None:
+    """Change a network of these blocks for use: batch normalisation folded into the convolutions, weights frozen."""
+    net.eval().requires_grad_(False)
+    for module in net.modules():
+        if isinstance(module, ConvBlock) and isinstance(module.norm, nn.BatchNorm2d):
+            module.conv, module.norm = fuse_conv_bn_eval(module.conv, module.norm), nn.Identity()
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

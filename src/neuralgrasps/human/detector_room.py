@@ -20,7 +20,7 @@ from neuralgrasps.seeds import child_rng
 
 _ROBOTS = {"fetch": 6, "panda": 6, "barrett": 4, "allegro": 2}
 """How many postures of each robot hand: what looks like a person's is rare."""
-_SOLIDS = 120
+_SOLIDS = 200
 _BACK_M = 2.5  # walls and floors are at most about so far
 _EYE_M = (0.45, 1.2)  # from the camera to the middle of the table, along the view
 _HUGE_M = 4.0  # half size of floors and walls
@@ -77,14 +77,32 @@ def _in_the_air(props: Props, rng: np.random.Generator) -> list[Mesh]:
 def _solid(rng: np.random.Generator) -> Mesh:
     """A thing of a kitchen table: a hand-held solid, a thin rod or plate, a large box or bowl."""
     kind = rng.random()
-    if kind < 0.6:
+    if kind < 0.45:
         mesh = thinned(random_solid(rng))
         return Mesh(mesh.vertices * rng.uniform(0.6, 1.3), mesh.faces)
-    if kind < 0.75:
+    if kind < 0.57:
         return box_mesh(rng.uniform([0.05, 0.05, 0.02], [0.2, 0.2, 0.15]))
-    if kind < 0.9:  # forks, pens, fingers of other machines
+    if kind < 0.67:
         return _rods(rng)
-    return cylinder_mesh(rng.uniform(0.05, 0.14), rng.uniform(0.004, 0.05), segments=20)
+    if kind < 0.77:
+        return cylinder_mesh(rng.uniform(0.05, 0.14), rng.uniform(0.004, 0.05), segments=20)
+    return _joined(rng)
+
+
+def _joined(rng: np.random.Generator) -> Mesh:
+    """Bars joined anyhow, as a drill, a clamp, scissors or a lamp: most of what is not a hand but has its outline."""
+    meshes: list[Mesh] = []
+    start, flat = np.zeros(3), rng.random() < 0.5
+    for _ in range(int(rng.integers(2, 6))):
+        half, thick = rng.uniform(0.02, 0.09), rng.uniform(0.006, 0.028)
+        bar = capsule_mesh(thick, half, segments=8)
+        if rng.random() < 0.5:
+            bar = box_mesh(np.array([thick, thick * rng.uniform(0.5, 1.5), half]))
+        along = rng.normal(size=3) * [1.0, 0.1 if flat else 1.0, 1.0]
+        frame = plane_frame(along / np.linalg.norm(along), start + half * along / np.linalg.norm(along))
+        meshes.append(_moved(bar, frame))
+        start = start + rng.choice([0.0, 1.0, 2.0]) * half * frame[:3, 2]
+    return merge_meshes(meshes)
 
 
 def _rods(rng: np.random.Generator) -> Mesh:

@@ -17,15 +17,13 @@ import numpy as np
 import torch
 
 from neuralgrasps.errors import DivergedError, InputError
-from neuralgrasps.files import write_whole
-from neuralgrasps.human.detector_images import DetectorImages, ImageMaker
+from neuralgrasps.human.detector_images import DetectorImages, ImageMaker, with_mirrored
 from neuralgrasps.human.detector_loss import HandLabels, detector_loss
 from neuralgrasps.human.detector_net import DetectorNet
 from neuralgrasps.human.grasp_bank import GraspBank
 from neuralgrasps.model.optimise import Progress, one_cycle
 from neuralgrasps.model.train_state import load_training, numpy_arrays, read_tensors, save_training, torch_threads
 from neuralgrasps.seeds import child_seed
-from neuralgrasps.tensor_files import tensor_bytes
 
 CHECKPOINT_S = 30.0
 _AHEAD = 4  # batches drawn before they are needed
@@ -37,7 +35,7 @@ class DetectorTrainConfig:
     """How the detector is trained.
 
     Attributes:
-        images: in all, each seen once; batch: per step.
+        images: in all, each seen once; half of them are the others in the mirror. batch: per step, an even number.
         learning_rate: peak of a one-cycle schedule (AdamW).
         mean_decay: of the running mean of the weights, which is what is kept.
         seed: of the start weights and of the images.
@@ -53,9 +51,10 @@ class DetectorTrainConfig:
     threads: int = 1
 
     def __post_init__(self) -> None:
-        if self.images < 1 or self.batch < 1 or self.threads < 1:
+        if self.images < 1 or self.batch < 2 or self.batch % 2 or self.threads < 1:
             raise InputError(
-                f"images {self.images}, batch {self.batch}, threads {self.threads}; expected at least 1 of each."
+                f"images {self.images}, batch {self.batch}, threads {self.threads}; expected at least 1 of each, and "
+                "an even batch."
             )
 
     @property
@@ -64,22 +63,30 @@ class DetectorTrainConfig:
 
 
 def train_detector(
-    bank: GraspBank, *, config: DetectorTrainConfig, state: Path | None = None, progress: Progress | None = None
+    bank: GraspBank,
+    *,
+    config: DetectorTrainConfig,
+    start: DetectorNet | None = None,
+    state: Path | None = None,
+    progress: Progress | None = None,
 ) -> DetectorNet:
-    """Train a network; it holds the mean weights.
+    """Train a network; the result holds the mean weights.
 
     Args:
         bank: hands and the solids in them.
+        start: weights to start from; random ones when None.
         state: file that keeps the training meanwhile; a training of the same config that is there is gone on from.
     Raises:
         DivergedError: the loss became NaN or infinite.
     """
     torch.manual_seed(child_seed(config.seed, "detector weights"))
     net: DetectorNet = DetectorNet().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    if start is not None:
+        net.load_state_dict(start.state_dict())
     mean = DetectorNet()
     mean.load_state_dict(net.state_dict())
     optimiser = torch.optim.AdamW(net.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay)
-    key = _key(bank, config)
+    key = _key(bank, config, net)
     first = _restore(state, key, net, mean, optimiser)
     saved = time.monotonic()
     with torch_threads(config.threads):
@@ -120,15 +127,6 @@ def hand_labels(images: DetectorImages) -> HandLabels:
     return HandLabels(boxes=boxes, right=right, known=known, ignored=ignored)
 
 
-def save_detector(net: DetectorNet, file: str | Path, *, notes: dict[str, str] | None = None) -> Path:
-    """Write weights for `HandDetector.load`, in half precision."""
-    arrays = {
-        name: array.astype(np.float16) if array.dtype == np.float32 else array
-        for name, array in numpy_arrays(net.state_dict()).items()
-    }
-    return write_whole(file, tensor_bytes(arrays, notes))
-
-
 _maker: list[ImageMaker] = []  # of this process
 
 
@@ -137,7 +135,7 @@ def _start_maker(bank: GraspBank) -> None:
 
 
 def _draw(seed: int, first: int, count: int) -> DetectorImages:
-    return _maker[-1].draw(seed, first, count)
+    return with_mirrored(_maker[-1].draw(seed, first, count))
 
 
 def _batches(bank: GraspBank, config: DetectorTrainConfig, first: int) -> Iterator[DetectorImages]:
@@ -148,7 +146,7 @@ def _batches(bank: GraspBank, config: DetectorTrainConfig, first: int) -> Iterat
     try:
         for step in range(first, config.steps + _AHEAD):
             if step < config.steps:
-                waiting.append(pool.submit(_draw, config.seed, step * config.batch, config.batch))
+                waiting.append(pool.submit(_draw, config.seed, step * config.batch // 2, config.batch // 2))
             if step >= first + _AHEAD and waiting:
                 yield waiting.popleft().result()
         while waiting:
@@ -166,11 +164,13 @@ def _follow(mean: DetectorNet, net: DetectorNet, decay: float) -> None:
                 kept.copy_(new)
 
 
-def _key(bank: GraspBank, config: DetectorTrainConfig) -> str:
+def _key(bank: GraspBank, config: DetectorTrainConfig, net: DetectorNet) -> str:
     """sha256 (hex) of what a training is made from."""
     digest = hashlib.sha256(json.dumps(asdict(config), sort_keys=True).encode())
     for array in (bank.points_O, bank.X_OH, bank.q):
         digest.update(np.ascontiguousarray(array).tobytes())
+    for array in numpy_arrays(net.state_dict()).values():
+        digest.update(array.tobytes())
     return digest.hexdigest()
 
 
