@@ -142,7 +142,9 @@ class _Transfer:
         self.grasps = _held(known)
         self.known = known_maps(self.pair, self.grasps, query.radius_m)
         self.full, self.sparse = target_of(query), target_of(query, self.pair.sparse)
-        self.order = Order(self.pair, self.full, config, self._allows, seed=seed)
+        usual = float(np.median(self.grasps.epsilon)) if len(self.grasps) else 0.0
+        least = max(config.search.least_epsilon, config.sturdy * usual)
+        self.order = Order(self.pair, self.full, config, self._allows, least_epsilon=least, seed=seed)
 
     def run(self) -> TransferResult:
         config = self.config
@@ -203,9 +205,8 @@ class _Transfer:
             return
         rng = child_rng(self.seed, "transfer", self.hand.name, self.obj.content_hash)
         keep = max(2 * self.config.count, 10)
-        found = search(
-            self.pair, self.sparse, X_OH, q, config=self.config.search, allows=self._allows, keep=keep, rng=rng
-        )
+        config = replace(self.config.search, least_epsilon=self.order.least_epsilon)
+        found = search(self.pair, self.sparse, X_OH, q, config=config, allows=self._allows, keep=keep, rng=rng)
         for i in range(min(len(found), keep * 4)):
             start = int(found.origin[i])
             self.order.add(

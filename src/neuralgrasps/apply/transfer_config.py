@@ -33,7 +33,8 @@ class TransferConfig:
         protocol: physics protocol that decides.
         use_symmetry: also take known grasps as the object's symmetry turns them.
         apart_m: grasps of one answer differ at least by so much (`grasp_features`).
-        search: how new grasps are looked for.
+        search: how new grasps are looked for; sturdy: those whose epsilon is below this share of the known grasps'
+            median are dropped: they would hold less often than known ones where friction or weight are not as told.
         synthesise: grasps that are made on the spot where none are known.
         scale: difference of contact maps that has similarity 0; None: the largest from the query to a known grasp, or
             between two known grasps.
@@ -47,6 +48,7 @@ class TransferConfig:
     use_symmetry: bool = True
     apart_m: float = 0.004
     search: SearchConfig = field(default_factory=SearchConfig)
+    sturdy: float = 0.4
     synthesise: int = 40
     scale: float | None = None
     alike: float = 0.5
@@ -61,6 +63,8 @@ class TransferConfig:
             raise InputError(
                 f"transfer: scale is {self.scale}; expected a difference of contact maps above 0, or None."
             )
+        if not 0 <= self.sturdy < np.inf:
+            raise InputError(f"transfer: sturdy is {self.sturdy}; expected a share of 0 or more.")
         if not 0 <= self.apart_m < np.inf:
             raise InputError(f"transfer: apart_m is {self.apart_m}; expected 0 or more, metres.")
         get_protocol(self.protocol)

@@ -46,12 +46,21 @@ class Order:
     """A queue of candidates, the most alike first.
 
     Attributes:
-        tried: trials so far. failed: candidates that did not hold, in the order of their trials.
+        least_epsilon: of grasps that are new. tried: trials so far. failed: candidates that did not hold, in the order
+            of their trials.
     """
 
     def __init__(
-        self, pair: TransferPair, target: Target, config: TransferConfig, allows: AllowsGrasps, *, seed: int
+        self,
+        pair: TransferPair,
+        target: Target,
+        config: TransferConfig,
+        allows: AllowsGrasps,
+        *,
+        least_epsilon: float,
+        seed: int,
     ) -> None:
+        self.least_epsilon = least_epsilon
         self._pair, self._target, self._config, self._allows, self._seed = pair, target, config, allows, seed
         self._queue: list[tuple[float, int]] = []
         self._items: list[Candidate] = []
@@ -96,7 +105,8 @@ class Order:
             outcome=np.full(1, VALID, np.int8),
         )  # fmt: skip
         grasp = finish_grasps(self._pair.problem, closed, protocol=self._config.protocol, seed=self._seed, config={})
-        if len(grasp) == 0 or not self._allows(grasp.X_OH, grasp.q, grasp.q_pregrasp)[0]:
+        weak = len(grasp) > 0 and item.origin == "generated" and float(grasp.epsilon[0]) < self.least_epsilon
+        if len(grasp) == 0 or weak or not self._allows(grasp.X_OH, grasp.q, grasp.q_pregrasp)[0]:
             return False
         item.grasp = grasp
         item.difference = float(map_differences(self._pair.problem.packed, self._target, grasp.X_OH, grasp.q)[0])

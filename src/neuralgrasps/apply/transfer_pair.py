@@ -13,7 +13,7 @@ from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.grasps.contact_map import contact_map_packed
 from neuralgrasps.grasps.grasp_set import GraspSet
-from neuralgrasps.hands.fingerprint import fingerprint
+from neuralgrasps.hands.fingerprint import fingerprint, hand_fingerprint
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.objects.object_model import ObjectModel
@@ -67,13 +67,16 @@ _KNOWN = Memory[KnownMaps](most=80)
 
 def transfer_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
     """The pair, kept for the next transfer."""
-    return _PAIRS.get(f"{pair_fingerprint(hand, obj)} {protocol}", lambda: _made_pair(hand, obj, protocol))
+    shape = fingerprint((obj.points_O, obj.symmetry.rotations))
+    return _PAIRS.get(
+        f"{pair_fingerprint(hand, obj)} {shape} {protocol}", lambda: _made_pair(hand, obj, protocol)
+    )  # fmt: skip
 
 
 def known_maps(pair: TransferPair, grasps: GraspSet, radius_m: float) -> KnownMaps:
     """Contact maps of known grasps at the object's contact points, kept for the next transfer."""
     problem = pair.problem
-    key = fingerprint((pair_fingerprint(problem.hand, problem.obj), grasps.X_OH, grasps.q, radius_m))
+    key = fingerprint((hand_fingerprint(problem.hand), problem.obj.points_O, grasps.X_OH, grasps.q, radius_m))
 
     def make() -> KnownMaps:
         maps = contact_map_packed(problem.obj.points_O, problem.packed, grasps.X_OH, grasps.q, radius=radius_m)

@@ -1,0 +1,207 @@
+"""Transfer as a whole: what comes back holds, is in order, obeys the rules, and says why."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from neuralgrasps.apply.transfer import FAST, TransferConfig, TransferResult, made_grasps, transfer
+from neuralgrasps.apply.transfer_pair import forget, transfer_pair
+from neuralgrasps.apply.transfer_query import TransferQuery, query_from_contacts, query_from_grasp
+from neuralgrasps.apply.transfer_reasons import squeezed_width, touched_sides
+from neuralgrasps.apply.transfer_search import SearchConfig
+from neuralgrasps.errors import InputError, UnknownNameError
+from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.primitives import box_mesh
+from neuralgrasps.grasps.contact_map import contact_map_packed
+from neuralgrasps.grasps.grasp_set import empty_grasps
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.hands.zoo import load_hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.planning.copies import moved_grasps
+from neuralgrasps.sim.validate import validate_grasps
+from neuralgrasps.synthesis.select import grasp_features
+from neuralgrasps.synthesis.support import Support
+from tests.apply.conftest import BoxWorld
+
+SHORT = TransferConfig(count=3, search=SearchConfig(starts=3, generations=1, children=4))
+
+
+@pytest.fixture(scope="module")
+def query(box_world: BoxWorld) -> TransferQuery:
+    return query_from_grasp(box_world.hand, box_world.obj, box_world.grasps.X_OH[0], box_world.grasps.q[0])
+
+
+class AtLeast:
+    """Hands whose palm lies above a height in the object's frame."""
+
+    def __init__(self, height_m: float) -> None:
+        self.height_m = height_m
+
+    def allows(self, hand: Hand, X_OH: np.ndarray, q: np.ndarray, q_pregrasp: np.ndarray | None = None) -> np.ndarray:
+        return (X_OH @ hand.X_HP)[:, 2, 3] >= self.height_m
+
+
+def check(result: TransferResult, query: TransferQuery, hand: Hand, obj: ObjectModel, config: TransferConfig) -> None:
+    """What every result must be, found out anew."""
+    count = len(result.grasps)
+    assert count == len(result.similarity) == len(result.origin) == len(result.reasons) == len(result.source)
+    assert (np.diff(result.similarity) <= 1e-12).all()
+    assert validate_grasps(hand, obj, result.grasps, config.protocol).success.all() and result.grasps.validated.all()
+    packed = transfer_pair(hand, obj, config.protocol).problem.packed
+    maps = contact_map_packed(obj.points_O, packed, result.grasps.X_OH, result.grasps.q, radius=query.radius_m)
+    difference = (np.abs(maps - query.contact_map) * query.weight).mean(axis=1)
+    assert np.allclose(result.map_difference, difference, atol=1e-6)
+    assert np.allclose(result.similarity, 1.0 - difference / result.scale, atol=1e-5)
+    features = grasp_features(hand, result.grasps.X_OH, result.grasps.q)
+    apart = np.linalg.norm(features[:, None] - features[None], axis=2)[np.triu_indices(count, 1)]
+    assert count < 2 or apart.min() >= config.apart_m
+    for similarity, reason in zip(result.similarity, result.reasons, strict=True):
+        assert f"similarity {similarity:.2f}" in reason and reason.endswith(f"held in {config.protocol}")
+
+
+def test_a_known_grasp_is_found_again_and_new_ones_follow(box_world: BoxWorld, query: TransferQuery) -> None:
+    result = transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=SHORT)
+    check(result, query, box_world.hand, box_world.obj, SHORT)
+    assert len(result.grasps) == 3 and result.reason == ""
+    assert result.similarity[0] > 0.98 and result.oracle == pytest.approx(1.0, abs=1e-6)
+    assert result.reasons[0].startswith("closest contacts, ") and "against 1.00 of the best known" in result.reasons[0]
+    assert "contacts number 2 in closeness" in result.reasons[1]
+    assert "3 grasps by panda on brick" in repr(result)
+
+
+def test_generation_beats_what_is_known(box_world: BoxWorld, query: TransferQuery) -> None:
+    others = box_world.grasps[1:]
+    alone, made = (
+        transfer(query, box_world.hand, box_world.obj, known=others, config=replace(SHORT, method=method))
+        for method in ("retrieve", "generate")
+    )
+    check(alone, query, box_world.hand, box_world.obj, SHORT)
+    check(made, query, box_world.hand, box_world.obj, SHORT)
+    assert set(alone.origin) == {"retrieved"} and set(made.origin) == {"generated"}
+    assert alone.tried == 0 and made.tried > 0  # stored verdicts serve
+    assert np.array_equal(alone.grasps.X_OH, others.X_OH[alone.source])
+    assert alone.similarity[0] == pytest.approx(alone.oracle, abs=1e-6)
+    assert made.similarity[0] > made.oracle + 0.02
+
+
+def test_a_query_without_a_palm_is_served_as_well(box_world: BoxWorld, query: TransferQuery) -> None:
+    blind = replace(query, X_OP=None)
+    result = transfer(blind, box_world.hand, box_world.obj, known=box_world.grasps[1:], config=SHORT)
+    check(result, blind, box_world.hand, box_world.obj, SHORT)
+    assert result.similarity[0] >= result.oracle and (result.source >= 0).all()
+
+
+def test_the_same_seed_gives_the_same_grasps_whatever_came_before(box_world: BoxWorld, query: TransferQuery) -> None:
+    common = {"known": box_world.grasps[1:], "config": SHORT}
+    first = transfer(query, box_world.hand, box_world.obj, **common, seed=4)
+    transfer(query, box_world.hand, box_world.obj, **common, seed=5)
+    forget()
+    again = transfer(query, box_world.hand, box_world.obj, **common, seed=4)
+    assert np.array_equal(first.grasps.X_OH, again.grasps.X_OH) and np.array_equal(first.grasps.q, again.grasps.q)
+    assert first.reasons == again.reasons and first.tried == again.tried
+
+
+def test_the_object_s_symmetry_turns_known_grasps(box_world: BoxWorld, make_object: Callable[..., ObjectModel]) -> None:
+    obj = make_object("brick", box_mesh([0.02, 0.03, 0.06]), symmetry=True)
+    turned = next(X for X in obj.symmetry.rotations[1:] if np.trace(X[:3, :3]) < 0)
+    other = moved_grasps(box_world.grasps[:1], turned)
+    query = query_from_grasp(box_world.hand, obj, other.X_OH[0], other.q[0])
+    config = replace(SHORT, method="retrieve", count=1, scale=0.3)
+    result = transfer(query, box_world.hand, obj, known=box_world.grasps[:1], config=config)
+    assert result.oracle > 0.97 > result.oracle_plain + 0.1
+    assert result.similarity[0] > 0.9 and result.tried == 1  # a turned grasp is tried again
+    assert "known grasp 0 turned by the object's symmetry" in result.reasons[0]
+    plain = transfer(query, box_world.hand, obj, known=box_world.grasps[:1], config=replace(config, use_symmetry=False))
+    assert plain.similarity[0] == pytest.approx(plain.oracle_plain, abs=1e-6) and plain.oracle == plain.oracle_plain
+
+
+def test_rules_hold_for_known_and_new_grasps(box_world: BoxWorld, query: TransferQuery) -> None:
+    palms = (box_world.grasps.X_OH @ box_world.hand.X_HP)[:, 2, 3]
+    rule = AtLeast(float(np.median(palms)))
+    result = transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=SHORT, constraints=rule)
+    check(result, query, box_world.hand, box_world.obj, SHORT)
+    assert rule.allows(box_world.hand, result.grasps.X_OH, result.grasps.q).all()
+    support = Support(plane=Plane(normal=np.array([0.0, 0.0, 1.0]), offset_m=float(box_world.obj.points_O[:, 2].min())))
+    lying = transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=SHORT, support=support)
+    assert support.allows(box_world.hand, lying.grasps.X_OH, lying.grasps.q, lying.grasps.q_pregrasp).all()
+
+
+def test_rules_that_allow_nothing_are_named(box_world: BoxWorld, query: TransferQuery) -> None:
+    nothing = transfer(
+        query, box_world.hand, box_world.obj, known=box_world.grasps, config=SHORT, constraints=AtLeast(10.0)
+    )
+    assert len(nothing.grasps) == 0 == len(nothing.nearest) and np.isnan(nothing.nearest_similarity)
+    assert "0 of 3 grasps found" in nothing.reason and "none of 8 known grasps is allowed" in nothing.reason
+
+
+def test_what_does_not_hold_is_not_given_but_named(box_world: BoxWorld, query: TransferQuery, monkeypatch) -> None:
+    pair = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench")
+    run = pair.trial.run
+    monkeypatch.setattr(type(pair.trial), "run", lambda self, *args: replace(run(*args), success=False))
+    config = replace(SHORT, method="generate", trials=2)
+    result = transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=config)
+    assert len(result.grasps) == 0 and result.tried == 2 and len(result.nearest) == 1
+    assert 0.5 < result.nearest_similarity <= 1.0 and "2 tried in physics" in result.reason
+
+
+def test_hand_and_object_that_nobody_has_seen(
+    make_object: Callable[..., ObjectModel], box_world: BoxWorld, query: TransferQuery
+) -> None:
+    obj = make_object("slab", box_mesh([0.02, 0.04, 0.05]))
+    hand = load_hand("fetch")
+    config = replace(FAST, synthesise=4)
+    made = made_grasps(hand, obj, config, support=None, seed=0)
+    assert len(made) == 4 and made_grasps(hand, obj, config, support=None, seed=0) is made
+    query = query_from_grasp(hand, obj, made.X_OH[2], made.q[2])
+    result = transfer(query, hand, obj, config=config)
+    check(result, query, hand, obj, config)
+    assert result.similarity[0] > 0.97
+    none = empty_grasps("panda", "slab", num_joints=box_world.hand.num_dofs)
+    bare = transfer(query, box_world.hand, obj, known=none, config=config)  # only the query's palm to start from
+    assert np.isnan(bare.oracle) and (len(bare.grasps) == 0 or bare.source[0] == -1)
+    blind = transfer(replace(query, X_OP=None), box_world.hand, obj, known=none, config=config)
+    assert len(blind.grasps) == 0 and "no grasp of this hand on this object is known" in blind.reason
+
+
+def test_drawn_contacts_are_touched(box_world: BoxWorld) -> None:
+    grasp = box_world.grasps[2]
+    drawn = grasp.contact_points_O[0][np.isfinite(grasp.contact_points_O[0, :, 0])]
+    query = query_from_contacts(box_world.obj, drawn)
+    result = transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=SHORT)
+    check(result, query, box_world.hand, box_world.obj, SHORT)
+    made = result.grasps[0].contact_points_O[0]
+    made = made[np.isfinite(made[:, 0])]
+    assert np.linalg.norm(drawn[:, None] - made[None], axis=2).min(axis=1).max() < 0.015
+
+
+def test_a_grasp_that_the_hand_cannot_make_is_explained(
+    make_object: Callable[..., ObjectModel], box_world: BoxWorld
+) -> None:
+    obj = make_object("crate", box_mesh([0.03, 0.06, 0.06]))  # half sizes
+    sides = obj.points_O[np.abs(np.abs(obj.points_O[:, 1]) - 0.06) < 1e-3]
+    near = sides[np.linalg.norm(sides[:, [0, 2]], axis=1) < 0.02]
+    query = query_from_contacts(obj, near)
+    pair = transfer_pair(box_world.hand, obj, "dexgraspbench")
+    assert squeezed_width(query, pair.problem) == pytest.approx(0.12, abs=2e-3)
+    assert touched_sides(query, pair.problem) == 2
+    assert touched_sides(query_from_contacts(obj, obj.points_O[::5]), pair.problem) == 6
+    result = transfer(query, box_world.hand, obj, config=replace(FAST, synthesise=4, count=1))
+    assert "the query holds 'crate' across 120 mm, hand 'panda' opens 80 mm" in result.reason
+    assert len(result.grasps) == 1 and f"similarity {result.similarity[0]:.2f}" in result.reason
+    assert "the nearest feasible grasp" in result.reason
+
+
+def test_wrong_input_is_refused(box_world: BoxWorld, query: TransferQuery, make_object) -> None:
+    with pytest.raises(InputError, match="object 'brick', the object is 'slab'"):
+        transfer(query, box_world.hand, make_object("slab", box_mesh([0.02, 0.04, 0.05])), known=box_world.grasps)
+    with pytest.raises(InputError, match="hand 'panda'"):
+        transfer(query, load_hand("fetch"), box_world.obj, known=box_world.grasps)
+    with pytest.raises(UnknownNameError, match="retrieve"):
+        TransferConfig(method="retreive")  # type: ignore[arg-type]
+    for wrong in ({"count": 0}, {"trials": 0}, {"scale": 0.0}, {"apart_m": -1.0}):
+        with pytest.raises(InputError, match=next(iter(wrong))):
+            TransferConfig(**wrong)
+    with pytest.raises(UnknownNameError, match="protocol"):
+        TransferConfig(protocol="shaky")
