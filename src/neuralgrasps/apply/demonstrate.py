@@ -20,6 +20,7 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
+from neuralgrasps.human.hand_video import camera_poses
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
 from neuralgrasps.human.sighting import HandFinder, JointSource, joints_box
 from neuralgrasps.human.watch import HandTrack, WatchConfig, watch_hand
@@ -139,7 +140,7 @@ def demonstrate(
         return replace(so_far, stage="object", reason=followed.reason)
     track = watch_hand(
         frames, detector=detector, reader=reader, joints=joints, obj=obj, X_CO=followed.X_CO, side=side,
-        table=None if followed.table is None else followed.table.plane, config=config.watch,
+        table=_first_table(frames, followed), config=config.watch,
     )  # fmt: skip
     clock("hand")
     if track.grasp is None:
@@ -153,6 +154,14 @@ def demonstrate(
     clock("transfer")
     so_far = replace(so_far, track=track, human=human, X_OH=X_OH, q=track.grasp.q, query=query, transfer=found)
     return so_far if len(found.grasps) else replace(so_far, stage="transfer", reason=found.reason)
+
+
+def _first_table(frames: Sequence[Frame], followed: FollowedObject) -> Plane | None:
+    """The table in the first frame's camera."""
+    if followed.table is None:
+        return None
+    X_WC = camera_poses(frames)
+    return followed.table.plane.moved(inverse_np(X_WC[0]) @ X_WC[followed.found_in])
 
 
 def load_hand_eyes(reader: JointSource | None = None) -> tuple[HandFinder, JointSource]:

@@ -33,9 +33,7 @@ def demonstrated_scene(
     """
     followed, table_O = demonstration.followed, demonstration.table_O
     if followed is None or followed.pose is None or table_O is None:
-        raise InputError(
-            f"the demonstration has no pose of '{obj.name}' on a table: nothing to put before a robot."
-        )
+        raise InputError(f"the demonstration has no pose of '{obj.name}' on a table: nothing to put before a robot.")
     plane = nearest_resting_plane(obj, table_O) or table_O
     X = np.eye(4)
     X[:3, :3] = _facing(plane.normal, followed.pose.X_CO[:3, :3].T @ np.array([0.0, 0.0, 1.0]))

@@ -210,7 +210,7 @@ def _frame_errors(
             out.append(FrameErrors(found=False, visible=float(truth.visible[n])))
             continue
         video = HandVideo(
-            frames=[frames[n]], reader=reader, obj=obj, X_CO=followed.X_CO[n][None],
+            frames=[frames[n]], reader=reader, obj=obj, X_CO=followed.X_CO[n][None], X_WC=np.eye(4)[None],
             table=None if followed.table is None else followed.table.plane, cloud_config=_CONFIG.watch.cloud,
             side=track.side, scale=track.scale, boxes={0: boxes[0]},
         )  # fmt: skip
