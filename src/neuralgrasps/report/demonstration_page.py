@@ -26,6 +26,7 @@ from neuralgrasps.report.demonstration_pictures import (
 )
 from neuralgrasps.report.demonstration_stages import demonstration_stages
 from neuralgrasps.report.hand_overlay import HandLayers
+from neuralgrasps.report.pose_page import percent_text
 from neuralgrasps.report.sections import number_text, pretty_name
 from neuralgrasps.report.transfer_content import TransferList
 from neuralgrasps.report.transfer_page import transfer_list
@@ -40,6 +41,7 @@ _TRANSFER_TEXT = (
     "Framed, how the person touches the object; beside it the robot's grasps that touch it most alike, best first, "
     "each tried in physics. Similarity is that of the contact maps: 1 is the same, 0 the most different pair."
 )
+_QUERY_TEXT = "The fitted hand; how it touches the object is what the others are compared with."
 _STAGES_TEXT = "From the video to the lifted object; a stage that fails says why, and those after it are not reached."
 
 
@@ -197,7 +199,7 @@ def shown_transfer(story: DemonstrationStory) -> TransferList:
         )  # fmt: skip
     shown = transfer_list(
         result, demo.query, story.hand, story.obj,
-        title="shown by the person", text=result.reason, grasp=(as_person(demo.human), demo.X_OH, demo.q),
+        title="shown by the person", text=result.reason or _QUERY_TEXT, grasp=(as_person(demo.human), demo.X_OH, demo.q),
     )  # fmt: skip
     place = None if story.trial is None else executed_place(story.trial, demo)
     grasps = [
@@ -223,7 +225,7 @@ def _key_figures(story: DemonstrationStory) -> tuple[KeyFigure, ...]:
         seen = sum(box is not None for box in track.boxes)
         figures.append(KeyFigure(value=f"{seen} of {len(track.boxes)}", label="frames with a hand", note=track.side))
         if track.grasp is not None:
-            sure = f"{100 * track.grasp.confidence:.0f} %"
+            sure = percent_text(track.grasp.confidence)
             figures.append(
                 KeyFigure(value=sure, label="sure of the fitted grasp", note=_off_text(track.grasp.cloud_rms_m))
             )
@@ -246,7 +248,7 @@ def _grasp_facts(demo: Demonstration) -> tuple[tuple[str, str], ...]:
     facts = (
         ("hand", track.side),
         ("size", f"{track.scale:.2f} of the model"),
-        ("confidence", f"{100 * grasp.confidence:.0f} %"),
+        ("confidence", percent_text(grasp.confidence)),
         ("points off", number_text(1e3 * grasp.cloud_rms_m, ".1f", "mm")),
         ("joints off", number_text(1e3 * grasp.joint_rms_m, ".1f", "mm")),
         ("into the object", number_text(1e3 * grasp.penetration_m, ".1f", "mm")),

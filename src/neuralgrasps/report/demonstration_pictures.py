@@ -23,8 +23,8 @@ from neuralgrasps.report.views import best_direction
 STRIP = 6
 _CLOSE_M = 0.015  # decay of the closeness that is drawn: sharper than the maps that are compared
 _STRIP_SIZE, _CLOSE_SIZE, _VIEW_SIZE, _CARD_SIZE = (480, 360), (840, 630), (640, 480), (420, 315)
-_LOOP_SIZE, _LOOP_FPS, _LOOP_FRAMES = (560, 420), 8, 36
-_REST = 6  # frames that the film rests at its end
+_LOOP_SIZE, _LOOP_FPS, _LOOP_FRAMES = (560, 420), 6, 26
+_REST = 5  # frames that the film rests at its end
 _TURN_RAD = 2.2  # from the first side of a grasp to the second
 
 
@@ -106,17 +106,18 @@ def close_ups(frame: Frame, layers: HandLayers) -> tuple[Picture, ...]:
     fitted = HandLayers(fitted=layers.fitted, mesh=layers.mesh, X_CO=layers.X_CO, name=layers.name)
     parts = [("what the camera saw", bare)]
     if layers.box is not None or layers.joints is not None:
-        parts.append(("hand found, its mask and 21 joints", joints))
+        parts.append((_seen_text(layers), joints))
     if layers.fitted is not None or layers.X_CO is not None:
         found = "fitted hand and object" if layers.fitted is not None else "the object"
         parts.append((found, fitted))
     return tuple((words, _overlay(frame, part, window, _CLOSE_SIZE)) for words, part in parts)
 
 
-def failure_picture(frame: Frame, layers: HandLayers) -> Picture:
-    """The whole frame with whatever was found in it."""
-    whole = (0, 0, frame.intrinsics.width, frame.intrinsics.height)
-    return f"frame {frame.name}", _overlay(frame, layers, whole, _CLOSE_SIZE)
+def _seen_text(layers: HandLayers) -> str:
+    found = [] if layers.box is None else ["its box"]
+    if layers.joints is not None:
+        found += [*(["its mask"] if layers.joints.mask is not None else []), "21 joints"]
+    return f"the hand: {', '.join(found)}"
 
 
 def grasp_direction(hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray, up_O: np.ndarray) -> np.ndarray:

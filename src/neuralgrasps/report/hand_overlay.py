@@ -228,7 +228,7 @@ def _premultiplied(sheet: Image.Image) -> Image.Image:
 
 def _draw_skeleton(draw: ImageDraw.ImageDraw, uv: np.ndarray, weight: np.ndarray, unit: float) -> None:
     """Bones and joints (21, 2), each as clear as it is trusted (21,)."""
-    alpha = np.where(weight >= _LEAST_WEIGHT, 70 + 185 * np.clip(weight, 0, 1), 0.0)
+    alpha = np.where(weight >= _LEAST_WEIGHT, 60 + 195 * np.sqrt(np.clip(weight, 0, 1)), 0.0)
     alpha = np.where(np.isfinite(uv).all(axis=1), alpha, 0.0).astype(int)
     for edging in (True, False):
         for a, b in BONES:
