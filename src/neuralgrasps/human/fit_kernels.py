@@ -9,7 +9,6 @@ kinematics, so that joints do not raise the cost of a point.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,89 +16,11 @@ from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.sdf_grid import grid_distance_gradient
 from neuralgrasps.hands.packed import pose_links
+from neuralgrasps.human.fit_problem import ROW, new_hand_work
 from neuralgrasps.model.fit_kernels import gradient_in_H, link_twists, nearest_of_parts, part_poses_H
 
-_ROW = 7  # base twist [v, w] and log size
 _AWAY = 0.3  # cosine of the ray and a surface's normal, from which on a point cannot be seen there
 _BEFORE_M, _MARCH = 0.15, 24
-
-
-class HandProblem(NamedTuple):
-    """What a hand is fitted to. Lengths are metres in the camera frame; weights are inverse variances, 1 / m^2.
-
-    Attributes:
-        joint_link (21,), joint_L (21, 3): where the joints sit on the hand of size 1.
-        joints_C (21, 3), joint_weight (21,): where they are seen; weight 0 leaves one out. joint_width: Cauchy's.
-        cloud_C (M, 3), cloud_weight: points of the hand's surface; cloud_width: beyond it a point is soon left out.
-        probe_L (K, 3), probe_link (K,): spread surface points of the hand of size 1, sorted by link.
-        depth (h, w): measured depth in a crop of the image, 0 = none; near (h, w, 2): row and column of the nearest
-            pixel at which nothing forbids the hand; camera (fx, fy, cx, cy) of the crop; free_weight, free_slack,
-            free_width: of probes in front of what is measured; weight 0 leaves it out.
-        X_OC (3, 4), sdf_values, sdf_origin, sdf_inv_spacing: the object; deep_weight, deep_slack: of probes inside it
-            (weight 0: no object); touch_weight (L,), touch_width: links that lie on it when they are near.
-        q_mean (J,), q_precision (J, J), q_freedom: t distribution of postures.
-        log_scale, log_scale_weight: usual size; free_scale: whether it is fitted.
-    """
-
-    joint_link: np.ndarray
-    joint_L: np.ndarray
-    joints_C: np.ndarray
-    joint_weight: np.ndarray
-    joint_width: float
-    cloud_C: np.ndarray
-    cloud_weight: float
-    cloud_width: float
-    probe_L: np.ndarray
-    probe_link: np.ndarray
-    depth: np.ndarray
-    near: np.ndarray
-    camera: np.ndarray
-    free_weight: float
-    free_slack: float
-    free_width: float
-    X_OC: np.ndarray
-    sdf_values: np.ndarray
-    sdf_origin: np.ndarray
-    sdf_inv_spacing: float
-    deep_weight: float
-    deep_slack: float
-    touch_weight: np.ndarray
-    touch_width: float
-    q_mean: np.ndarray
-    q_precision: np.ndarray
-    q_freedom: float
-    log_scale: float
-    log_scale_weight: float
-    free_scale: bool
-
-
-class HandWork(NamedTuple):
-    """Memory of one fit, used again by every evaluation."""
-
-    X_HL: np.ndarray
-    X_PH: np.ndarray
-    centre_H: np.ndarray
-    nearest: np.ndarray
-    G: np.ndarray
-    h: np.ndarray
-    twists: np.ndarray
-    hint: np.ndarray
-
-
-@njit(cache=True, error_model="numpy")
-def new_hand_work(packed, points):  # type: ignore[no-untyped-def]
-    """Work space for a hand and a number of cloud points."""
-    links, joints, parts = packed.parents.shape[0], packed.lower.shape[0], packed.part_link.shape[0]
-    return HandWork(
-        np.empty((links, 4, 4)),
-        np.empty((parts, 3, 4)),
-        np.empty((parts, 3)),
-        np.empty((links, 7)),
-        np.empty((links, _ROW, _ROW)),
-        np.empty((links, _ROW)),
-        np.empty((links, joints, 6)),
-        np.zeros(points, np.int64),
-    )
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -144,7 +65,7 @@ def _add_row(G, h, nx, ny, nz, x, y, z, more, r, w):  # type: ignore[no-untyped-
     Its change is n . (velocity of the link's point p); when the size grows by its share, n . p + more.
     """
     s = (nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx, nx * x + ny * y + nz * z + more)
-    for i in range(_ROW):
+    for i in range(ROW):
         f = w * s[i]
         h[i] += f * r
         for j in range(i + 1):
@@ -310,12 +231,12 @@ def _assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
     """Normal equations (lower triangle) over [base twist in H | q | log size] from the sums of the links."""
     joints = twists.shape[1]
     last = 6 + joints
-    Gt = np.empty(_ROW)
+    Gt = np.empty(ROW)
     for link in range(G.shape[0]):
         g = G[link]
         if g[0, 0] + g[1, 1] + g[2, 2] == 0.0:
             continue
-        for i in range(_ROW):
+        for i in range(ROW):
             for j in range(i + 1):
                 g[j, i] = g[i, j]
         for i in range(6):
@@ -329,7 +250,7 @@ def _assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
             t = twists[link, j]
             if t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0 and t[3] == 0.0 and t[4] == 0.0 and t[5] == 0.0:
                 continue
-            for i in range(_ROW):
+            for i in range(ROW):
                 s = 0.0
                 for k in range(6):
                     s += g[i, k] * t[k]

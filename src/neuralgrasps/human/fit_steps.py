@@ -9,7 +9,8 @@ import numpy as np
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.hands.packed import pose_links
-from neuralgrasps.human.fit_kernels import hand_cost_rows, in_hand, new_hand_work
+from neuralgrasps.human.fit_kernels import hand_cost_rows, in_hand
+from neuralgrasps.human.fit_problem import new_hand_work
 from neuralgrasps.model.fit_kernels import nearest_of_parts, part_poses_H
 from neuralgrasps.model.fit_solver import moved_pose
 from neuralgrasps.model.spd import add_damped, solve_spd

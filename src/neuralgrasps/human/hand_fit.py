@@ -13,8 +13,9 @@ from neuralgrasps.errors import InputError, check_shape
 from neuralgrasps.geometry.sdf_grid import grid_distances
 from neuralgrasps.hands.packed import PackedHand, pack_hand
 from neuralgrasps.hands.variants import mirror_matrix
+from neuralgrasps.human.fit_again import other_starts
 from neuralgrasps.human.fit_confidence import FitEvidence, confidence, reasons_against
-from neuralgrasps.human.fit_kernels import HandProblem
+from neuralgrasps.human.fit_problem import HandProblem
 from neuralgrasps.human.fit_start import hand_starts
 from neuralgrasps.human.fit_steps import cloud_distances, curvature, lower_costs
 from neuralgrasps.human.fit_view import hand_view, no_view
@@ -28,6 +29,8 @@ from neuralgrasps.perception.frame import Frame
 _FLIP_X = np.diag([-1.0, 1.0, 1.0, 1.0])
 _SPACING_M = 0.004
 _PROBES = 160
+_FAR_WIDTH_M = 0.03
+_STILL = 0.2  # weight of the joints of a fit shortly before, in place of seen ones
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,9 +49,10 @@ class HandFitConfig:
         freedom: of the t distribution of postures; small: unusual postures cost little.
         scale_mean, scale_sd: usual size, and its relative standard deviation, where the size is fitted.
         iterations: most steps with the cloud; starts: how many different starts are followed with it.
+        again_below: a fit of less confidence is tried again from more starts, which takes three times as long.
     """
 
-    points: int = 300
+    points: int = 400
     joint_sd_m: float = 0.017
     joint_width_m: float = 0.025
     cloud_sd_m: float = 0.003
@@ -66,6 +70,7 @@ class HandFitConfig:
     scale_sd: float = 0.08
     iterations: int = 15
     starts: int = 1
+    again_below: float = 0.97
 
     def __post_init__(self) -> None:
         for name in ("joint_sd_m", "cloud_sd_m", "deep_sd_m", "freedom", "scale_mean", "scale_sd"):
@@ -111,7 +116,7 @@ def fit_hand(
     stay within the model's limits.
 
     Args:
-        seen: the joints; None: only with `start`.
+        seen: the joints; None: only with `start`, whose joints then count a little.
         cloud_C: (M, 3) points of the hand's surface only, camera frame, metres; None or too few: joints alone.
         side: which hand; the caller decides. A hand fitted as its mirror image leaves larger residuals.
         scale: size of the hand (`fit_size`); None: fitted too, weakly determined by one frame.
@@ -127,18 +132,48 @@ def fit_hand(
         raise InputError("fit_hand got neither joints nor a start; expected one: points alone do not say.")
     if scale is not None and not (np.isfinite(scale) and scale > 0):
         raise InputError(f"scale is {scale}; expected a size above 0, such as 0.8, or None.")
-    problem = hand_problem(seen, cloud_C, side=side, scale=scale, obj=obj, frame=frame, config=config)
+    problem = hand_problem(seen, cloud_C, side=side, scale=scale, obj=obj, frame=frame, config=config, start=start)
     X, q, sizes = _first_starts(problem, start, scale, config)
-    first = problem._replace(
-        cloud_C=np.ascontiguousarray(problem.cloud_C[::2]),
-        cloud_weight=2.0 * problem.cloud_weight,
-        cloud_width=max(config.first_width_m, config.cloud_width_m),
-    )
+    at_joints = X[0].copy(), q[0].copy(), float(sizes[0])
+    cost = _lower(problem, X, q, sizes, config)
+    best = int(np.argmin(cost))
+    result = _result(problem, X[best], q[best], float(sizes[best]), side=side)
+    if result.confidence >= config.again_below or not len(problem.cloud_C) or seen is None:
+        return result
+    X, q, sizes = _other_starts(problem, *at_joints)
+    again = _lower(problem, X, q, sizes, config)
+    other = int(np.argmin(again))
+    if again[other] >= cost[best]:
+        return result
+    return _result(problem, X[other], q[other], float(sizes[other]), side=side)
+
+
+def _lower(problem: HandProblem, X: np.ndarray, q: np.ndarray, sizes: np.ndarray, config: HandFitConfig) -> np.ndarray:
+    """Follow starts in place, first to half of the points, which may be far off; their costs."""
     cost = np.empty(len(q))
+    first = _fewer(problem, 2)._replace(cloud_width=max(config.first_width_m, config.cloud_width_m))
     lower_costs(_model().packed, first, X, q, sizes, 6, 1e-2, cost)
     lower_costs(_model().packed, problem, X, q, sizes, config.iterations, 1e-3, cost)
-    best = int(np.argmin(cost))
-    return _result(problem, X[best], q[best], float(sizes[best]), side=side)
+    return cost
+
+
+def _fewer(problem: HandProblem, step: int) -> HandProblem:
+    """The problem with every `step`-th point of the cloud, of as much weight together."""
+    return problem._replace(
+        cloud_C=np.ascontiguousarray(problem.cloud_C[::step]), cloud_weight=step * problem.cloud_weight
+    )
+
+
+def _other_starts(
+    problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The two most promising of more starts: X_CH (2, 4, 4), q (2, 20), sizes (2,)."""
+    X, postures = other_starts(_model().packed, problem, X_CH, q, scale)
+    sizes, cost = np.full(len(X), scale), np.empty(len(X))
+    coarse = _fewer(problem, 4)._replace(cloud_width=_FAR_WIDTH_M)
+    lower_costs(_model().packed, coarse, X, postures, sizes, 3, 1e-2, cost)
+    best = np.argsort(cost, kind="stable")[:2]
+    return np.ascontiguousarray(X[best]), np.ascontiguousarray(postures[best]), sizes[best]
 
 
 def fit_size(
@@ -197,10 +232,11 @@ def hand_problem(
     obj: tuple[ObjectModel, np.ndarray] | None,
     frame: Frame | None,
     config: HandFitConfig,
+    start: FittedHand | None = None,
 ) -> HandProblem:
     """What is lowered, for a right hand: what is seen of a left one is mirrored (x to -x)."""
     model, postures, left = _model(), usual_postures(), side == "left"
-    joints, weight = _usable_joints(seen)
+    joints, weight = _usable_joints(seen, start)
     cloud = _thinned(cloud_C, config.points)
     view = no_view()
     if frame is not None and seen is not None and seen.mask is not None and config.free_sd_m > 0.0:
@@ -245,10 +281,11 @@ def hand_problem(
     )
 
 
-def _usable_joints(seen: SeenJoints | None) -> tuple[np.ndarray, np.ndarray]:
-    """(21, 3) joints without nan, (21,) weights, 0 for the unknown."""
+def _usable_joints(seen: SeenJoints | None, start: FittedHand | None) -> tuple[np.ndarray, np.ndarray]:
+    """(21, 3) joints without nan, (21,) weights, 0 for the unknown; those of the start where none are seen."""
     if seen is None:
-        return np.zeros((NUM_JOINTS, 3)), np.zeros(NUM_JOINTS)
+        still = np.zeros((NUM_JOINTS, 3)) if start is None else start.joints_C
+        return np.array(still, np.float64), np.full(NUM_JOINTS, 0.0 if start is None else _STILL)
     check_shape("seen joints", np.shape(seen.points_C), (NUM_JOINTS, 3))
     points = np.array(seen.points_C, np.float64)
     known = np.isfinite(points).all(axis=1) & np.isfinite(seen.weight)
