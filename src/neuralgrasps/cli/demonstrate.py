@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -17,7 +17,9 @@ from neuralgrasps.cli.transfer import OptionalCone, Regions
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
+    from neuralgrasps.apply.constraints import GraspConstraints
     from neuralgrasps.apply.demonstrate import Demonstration
+    from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.arms.manipulator import Manipulator
     from neuralgrasps.evaluate.execute import Trial
     from neuralgrasps.grasps.grasp_set import GraspSet
@@ -81,6 +83,11 @@ def demonstrate(
         video: film of the execution, .mp4.
         out: folder for numbers (JSON), grasps, pictures, and the robot's plan (YAML).
     """
+    from neuralgrasps.apply.transfer import TransferConfig
+    from neuralgrasps.cli.demonstrate_files import write_demonstrated
+    from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
+    from neuralgrasps.report.demonstration_page import DemonstrationStory
+
     check_seed(seed)
     check_shown(source)
     _check_options(count, execute=execute, arm=arm, video=video, report=report, out=out)
@@ -88,25 +95,18 @@ def demonstrate(
     manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
     with terminal.progress("reading the object"):
         obj = _open_object(terminal, object_name)
-    shown = read_shown(terminal, rgbd, source)
     rules = _rules(obj, only_region, keep_free, approach)
-    demo = _watched(
-        terminal, shown, obj, robot_hand, rules, _known(terminal, object_name, obj, robot_hand, grasps),
-        side=source.side, count=count, method=method, seed=seed,
-    )  # fmt: skip
+    shown = read_shown(terminal, rgbd, source)
+    known = _known(terminal, object_name, obj, robot_hand, grasps)
+    config = TransferConfig(count=count, method=method)
+    demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
     pictured = report is not None or video is not None or out is not None
     trial = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else None
-    from neuralgrasps.cli.demonstrate_files import write_demonstrated
-    from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
-    from neuralgrasps.report.demonstration_page import DemonstrationStory
-
     story = DemonstrationStory(frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
     result = demonstration_record(story, shown.numbers) | {
-        "rgbd": str(rgbd),
-        "constraints": _rule_names(rules),
-        "seed": seed,
-    }
-    result |= {"arm": None if manipulator is None else manipulator.arm.name, "wall_s": time.perf_counter() - begun}
+        "rgbd": str(rgbd), "arm": None if manipulator is None else manipulator.arm.name, "seed": seed,
+        "constraints": [] if rules is None else list(rules.names), "wall_s": time.perf_counter() - begun,
+    }  # fmt: skip
     show_demonstration(terminal, result)
     result |= write_demonstrated(
         terminal, story, result, manipulator, sources=(hand, object_name), report=report, video=video, out=out
@@ -172,21 +172,15 @@ def _open_object(terminal: Terminal, spec: str) -> ObjectModel:
     return obj
 
 
-def _rules(obj: ObjectModel, only_region: Regions, keep_free: Regions, approach: OptionalCone) -> Any:
+def _rules(
+    obj: ObjectModel, only_region: Regions, keep_free: Regions, approach: OptionalCone
+) -> GraspConstraints | None:
     """What else is asked of the robot's grasps; None when nothing is."""
+    from neuralgrasps.apply.constraint_text import constraints_from_text
+
     if not (only_region or keep_free or approach):
         return None
-    from neuralgrasps.apply.constraint_text import parse_approach, parse_regions
-    from neuralgrasps.apply.constraints import GraspConstraints
-
-    return GraspConstraints(
-        obj=obj, only_region=parse_regions(only_region), keep_free=parse_regions(keep_free),
-        approach=None if approach is None else parse_approach(*approach),
-    )  # fmt: skip
-
-
-def _rule_names(rules: Any) -> list[str]:
-    return [] if rules is None else list(rules.names)
+    return constraints_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
 
 
 def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Path | None) -> GraspSet | None:
@@ -216,18 +210,17 @@ def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Pa
 
 
 def _watched(
-    terminal: Terminal, shown: Shown, obj: ObjectModel, hand: Hand, rules: Any, known: GraspSet | None, *,
-    side: Literal["right", "left"] | None, count: int, method: Literal["both", "retrieve", "generate"], seed: int,
+    terminal: Terminal, shown: Shown, obj: ObjectModel, hand: Hand, config: TransferConfig, *,
+    side: Literal["right", "left"] | None, known: GraspSet | None, rules: GraspConstraints | None, seed: int,
 ) -> Demonstration:  # fmt: skip
     from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.apply.demonstrate import demonstrate as watch
-    from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.cli.compiling import BEGINS, compile_clock
 
     with terminal.progress("watching"), compile_clock(lambda: terminal.complain(BEGINS)):
         return watch(
             shown.frames, obj, hand, joints=shown.joints, side=side, known=known, constraints=rules, seed=seed,
-            config=DemonstrateConfig(transfer=TransferConfig(count=count, method=method)),
+            config=DemonstrateConfig(transfer=config),
         )  # fmt: skip
 
 
