@@ -92,7 +92,7 @@ def full_mask(crop: Crop, mask: np.ndarray, shape: tuple[int, int]) -> np.ndarra
 
 
 def _within(places: np.ndarray, size: int) -> np.ndarray:
-    nearest = np.rint(places).astype(np.int64)
+    nearest = np.floor(places + 0.5).astype(np.int64)
     nearest[(nearest < 0) | (nearest >= size)] = -1
     return nearest
 

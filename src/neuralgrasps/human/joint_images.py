@@ -49,12 +49,14 @@ class CropMix(NamedTuple):
     Attributes:
         refined: share of boxes taken again round joints found before, whose depth is nearly right.
         shift, size: largest errors of a detected box: of its middle in its widths, of its width (log).
+        poor: share of detected boxes that are off by up to 1.8 times as much.
         strongest_noise: times the camera's; measure_visible: render the hand alone too.
     """
 
     refined: float = 0.5
     shift: float = 0.1
     size: float = 0.15
+    poor: float = 0.4
     strongest_noise: float = 1.4
     measure_visible: bool = False
 
@@ -92,7 +94,8 @@ def _fill_crops(kit, scene, crop, seeds, room, batch):  # type: ignore[no-untype
         refined = np.random.random() < crop.refined
         batch.refined[n] = refined
         u, v, side = _hand_box(room.points[: kit.skin_core.shape[0]])
-        shift, size = (0.03, 0.05) if refined else (crop.shift, crop.size)
+        off = 1.8 if np.random.random() < crop.poor else 1.0
+        shift, size = (0.03, 0.05) if refined else (off * crop.shift, off * crop.size)
         u += side * np.random.uniform(-shift, shift)
         v += side * np.random.uniform(-shift, shift)
         side *= math.exp(np.random.uniform(-size, size))

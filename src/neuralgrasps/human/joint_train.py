@@ -255,7 +255,7 @@ def camera_points(joints: Tensor, conditions: Tensor) -> Tensor:
 
 def test_crops(kit: SceneKit, count: int, *, threads: int = 1) -> CropBatch:
     """The fixed test set: boxes off as a detector's, seeds that training never draws."""
-    mix = CropMix(refined=0.5, measure_visible=True)
+    mix = CropMix(poor=0.0, measure_visible=True)
     return make_crops(kit, np.arange(_TEST_SEED, _TEST_SEED + count, dtype=np.uint32), crop=mix, threads=threads)
 
 

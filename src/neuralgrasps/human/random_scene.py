@@ -21,8 +21,8 @@ from neuralgrasps.kinematics.forward_kernels import link_poses
 
 BACKGROUND, TABLE, OBJECT, HAND, FOREARM, CLUTTER = range(6)
 
-_RINGS, _ROUND = 4, 10  # of the forearm
-_WRIST_M = (0.027, 0.036)  # half thickness and half width of the wrist at scale 1
+_RINGS, _ROUND = 5, 12  # of the forearm: the wrist, the cuff without and with cloth, half way, the elbow
+_WRIST_THICK_M, _WRIST_BROAD_M = (0.023, 0.033), (0.027, 0.039)  # half sizes of the wrist at scale 1
 _CLUTTER = 4
 
 
@@ -277,30 +277,31 @@ def _moved(X, p, out):  # type: ignore[no-untyped-def]
 @njit(cache=True, error_model="numpy")
 def _place_forearm(room, along, size):  # type: ignore[no-untyped-def]
     """A tube of ellipses from the wrist, wider towards the elbow, in a sleeve at times."""
-    sleeve = np.random.uniform(1.1, 1.6) if np.random.random() < 0.3 else 1.0
-    start = np.random.uniform(0.0, 0.08) if sleeve > 1.0 else 0.0
-    fat, length = np.random.uniform(0.9, 1.15), np.random.uniform(0.27, 0.36) * size
+    thick, broad = size * np.random.uniform(*_WRIST_THICK_M), size * np.random.uniform(*_WRIST_BROAD_M)
+    grows, curve = np.random.uniform(0.25, 0.85), np.random.uniform(0.5, 1.2)
+    length = np.random.uniform(0.27, 0.37) * size
+    sleeve = np.random.uniform(0.002, 0.018) if np.random.random() < 0.45 else 0.0
+    cuff = size * np.random.uniform(0.0, 0.15)
     side = np.empty(3)  # across the forearm in its broad direction: z of H made perpendicular to it
     for i in range(3):
         side[i] = (1.0 if i == 2 else 0.0) - along[2] * along[i]
-    n = math.sqrt(side[0] ** 2 + side[1] ** 2 + side[2] ** 2)
-    side /= n
+    side /= math.sqrt(side[0] ** 2 + side[1] ** 2 + side[2] ** 2)
     over = np.cross(along, side)
     first, p = room.counts[0], np.empty(3)
+    start = -size * np.random.uniform(0.0, 0.02)
     for ring in range(_RINGS):
-        share = ring / (_RINGS - 1.0)
-        widen = fat * (sleeve if start == 0.0 or ring > 0 else 1.0) * (1.0 + 0.45 * math.sqrt(share))
+        distance = start if ring == 0 else cuff if ring <= 2 else cuff + (length - cuff) * (ring - 2.0) / (_RINGS - 3.0)
+        widen = 1.0 + grows * (max(distance, 0.0) / length) ** curve
+        cloth = sleeve if ring >= 2 else 0.0
         for k in range(_ROUND):
             angle = 2.0 * math.pi * k / _ROUND
-            a = size * widen * _WRIST_M[0] * math.cos(angle)
-            b = size * widen * _WRIST_M[1] * math.sin(angle)
-            distance = -0.012 * size if ring == 0 else start * size + share * length
+            a, b = (widen * thick + cloth) * math.cos(angle), (widen * broad + cloth) * math.sin(angle)
             for i in range(3):
                 p[i] = distance * along[i] + a * over[i] + b * side[i]
             _moved(room.X_CH, p, room.points[first + ring * _ROUND + k])
     end = first + _RINGS * _ROUND
     for i in range(3):
-        p[i] = (start * size + length) * along[i]
+        p[i] = length * along[i]
     _moved(room.X_CH, p, room.points[end])
     for ring in range(_RINGS):
         for k in range(_ROUND):
