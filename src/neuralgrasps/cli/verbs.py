@@ -49,6 +49,7 @@ VERBS: tuple[Verb, ...] = (
     Verb(("pose",), "pose:pose", "where an object is, from points or a depth image"),
     Verb(("execute",), "execute:execute", "look, plan, grasp and lift objects in simulation, with films"),
     Verb(("human", "record"), "human_record:human_record", "synthetic RGB-D videos of a hand that grasps an object"),
+    Verb(("human", "train"), "human_train:human_train", "the networks that find hands and joints in depth images"),
     Verb(("demonstrate",), "demonstrate:demonstrate", "watch a person grasp an object; a robot hand grasps it alike"),
     Verb(("export",), "export:export", "grasps as MoveIt messages or isaac_grasp files"),
     Verb(("bench",), "bench:bench", "run a benchmark and print its figures"),

@@ -9,14 +9,16 @@ import numpy as np
 import torch
 
 from neuralgrasps.errors import InputError
+from neuralgrasps.human.crop import BOX_MARGIN, Crop, take_crop
 from neuralgrasps.human.detector_loss import box_overlap
 from neuralgrasps.human.detector_net import Cells, DetectorNet, fuse
 from neuralgrasps.human.detector_view import detector_view
 from neuralgrasps.human.net_files import ASSETS, read_weights
 from neuralgrasps.human.seen import HandBox
+from neuralgrasps.human.side_net import SideNet
 from neuralgrasps.perception.frame import Frame
 
-WEIGHTS = ASSETS / "detector.safetensors"
+WEIGHTS, SIDE_WEIGHTS = ASSETS / "detector.safetensors", ASSETS / "side.safetensors"
 
 SURE = 0.5
 """Default score from which a box is called a hand."""
@@ -39,24 +41,33 @@ class FoundHands:
 
 
 class HandDetector:
-    """A trained network; see `load`."""
+    """Trained networks; see `load`."""
 
-    def __init__(self, net: DetectorNet) -> None:
-        """Take a network; it is changed for use (`detector_net.fuse`)."""
+    def __init__(self, net: DetectorNet, *, side: SideNet | None = None) -> None:
+        """Take networks; they are changed for use (`detector_net.fuse`).
+
+        Args:
+            side: looks again at each box to tell right from left; without it the detector's own guess is told.
+        """
         fuse(net)
-        self._net = net
+        if side is not None:
+            fuse(side)
+        self._net, self._side = net, side
 
     @staticmethod
-    def load(path: str | Path | None = None) -> HandDetector:
-        """Read weights that `human train detector` wrote; None for those that come with the package.
+    def load(path: str | Path | None = None, *, side: str | Path | None = None) -> HandDetector:
+        """Read weights that `human train` wrote; None for those that come with the package.
 
         Raises:
             InputError: no such file.
             DataFormatError: it is damaged or of another network.
         """
-        net = DetectorNet()
+        net, side_net = DetectorNet(), SideNet()
         read_weights(net, WEIGHTS if path is None else path)
-        return HandDetector(net)
+        if side is None and not SIDE_WEIGHTS.is_file():
+            return HandDetector(net)
+        read_weights(side_net, SIDE_WEIGHTS if side is None else side)
+        return HandDetector(net, side=side_net)
 
     def find(self, frame: Frame, *, threshold: float = SURE) -> list[HandBox]:
         """Hands in a frame, the surest first.
@@ -74,13 +85,34 @@ class HandDetector:
             raise InputError(f"threshold is {threshold}; expected 0 to 1.")
         view = detector_view(frame.depth, frame.intrinsics)
         found = self.find_in(view.depth[None], threshold=threshold)[0]
-        return [_hand_box(*row) for row in zip(view.to_frame(found.boxes), found.scores, found.right, strict=True)]
+        boxes = view.to_frame(found.boxes)
+        right = found.right if self._side is None else self._looked_again(frame, boxes)
+        return [_hand_box(*row) for row in zip(boxes, found.scores, right, strict=True)]
 
     def find_in(self, depth: np.ndarray, *, threshold: float) -> list[FoundHands]:
         """Hands in images (N, h, w) as `detector_view` makes them, metres; boxes in their pixels."""
         with torch.inference_mode():
             cells = self._net(torch.from_numpy(depth))
             return [_surest(cells, image, threshold) for image in range(len(depth))]
+
+    def _looked_again(self, frame: Frame, boxes: np.ndarray) -> np.ndarray:
+        """(K,) how sure the side network is that the hands in boxes (K, 4) of a frame are right ones; 0.5 where no
+        depth is."""
+        right = np.full(len(boxes), 0.5)
+        crops = [side_crop(frame, box) for box in boxes]
+        rows = [row for row, crop in enumerate(crops) if crop is not None]
+        if rows and self._side is not None:
+            inputs = np.stack([crop.inputs for crop in crops if crop is not None])
+            with torch.inference_mode():
+                right[rows] = torch.sigmoid(self._side(torch.from_numpy(inputs))).numpy()
+        return right
+
+
+def side_crop(frame: Frame, box: np.ndarray) -> Crop | None:
+    """The crop of a box (4,) that the side network sees; None where nothing was measured."""
+    u, v = 0.5 * (box[:2] + box[2:])
+    longer = max(box[2] - box[0], (box[3] - box[1]) * frame.intrinsics.fx / frame.intrinsics.fy)
+    return take_crop(frame.depth, frame.intrinsics, u=float(u), v=float(v), side=BOX_MARGIN * float(longer))
 
 
 def _surest(cells: Cells, image: int, threshold: float) -> FoundHands:
