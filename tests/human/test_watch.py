@@ -193,6 +193,27 @@ def test_hands_are_followed_where_the_detector_misses_them(grasp_video, true_eye
     assert track.stage == "" and len(track.still) >= 10
 
 
+def test_a_hand_that_leaves_is_not_followed_into_nothing(grasp_video, true_eyes):
+    """Frames are shown again without the hand: what is read in its last box is not as clear."""
+
+    class Leaving:
+        def __init__(self, eyes):
+            self.eyes, self.find = eyes, eyes.find
+
+        def read(self, frame, box):
+            if frame.name != "000001":
+                return self.eyes.read(frame, box)
+            rng = np.random.default_rng(0)
+            points = rng.normal(size=(21, 3)) * 0.05 + [0.0, 0.0, 0.5]
+            return SeenJoints(points_C=points, weight=np.full(21, 0.2), mask=None, side=box.side, source="nothing")
+
+    frames = [*grasp_video.frames, *[grasp_video.frames[1]] * 4]
+    X_CO = grasp_video.X_CO[0]
+    track = _watched(grasp_video, Leaving(true_eyes(video=grasp_video)), frames=frames, X_CO=X_CO)
+    assert track.stage == "" and track.boxes[24:] == (None,) * 4 and track.seen[24:] == (None,) * 4
+    assert max(track.still) < 24
+
+
 def test_bad_input_is_refused(grasp_video, true_eyes):
     eyes = true_eyes(video=grasp_video)
     with pytest.raises(InputError, match="no frames"):
@@ -207,5 +228,6 @@ def test_bad_input_is_refused(grasp_video, true_eyes):
 
 def test_long_videos_are_looked_at_coarsely():
     assert coarse_frames(24, LookConfig()) == list(range(24))
-    assert coarse_frames(100, LookConfig())[:3] == [0, 2, 4]
+    assert coarse_frames(45, LookConfig())[:3] == [0, 2, 4]
+    assert coarse_frames(100, LookConfig())[:3] == [0, 5, 10]
     assert coarse_frames(600, LookConfig())[:3] == [0, 6, 12]

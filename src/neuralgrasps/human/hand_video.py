@@ -52,6 +52,11 @@ class HandVideo:
         """Take joints from elsewhere for a frame."""
         self._seen[number, seen.side] = seen
 
+    def forget(self, number: int) -> None:
+        """Take it that no hand is in a frame after all."""
+        self.boxes.pop(number, None)
+        self._seen[number, self.side] = None
+
     def see(self, number: int, *, side: Side | None = None) -> SeenJoints | None:
         """The joints in a frame, taken for a hand of `side`, None for the decided one; None where none are seen."""
         side = side or self.side

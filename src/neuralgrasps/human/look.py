@@ -30,7 +30,7 @@ class LookConfig:
         score: least score of a hand's box. nearest_m, farthest_m: depths that a hand is looked for at.
     """
 
-    frames: int = 40
+    frames: int = 20
     step: int = 6
     score: float = 0.4
     nearest_m: float = 0.2
@@ -88,10 +88,13 @@ def followed_frames(video: HandVideo, config: LookConfig) -> list[int]:
             continue
         before = max(k for k in found if k < n)
         old, new = video.see(before), video.see(n)
-        if old is None or new is None or np.mean(new.weight) < _AS_CLEAR * usual:
+        if old is None or new is None:
             continue
-        if np.nanmedian(np.linalg.norm(old.points_C - new.points_C, axis=1)) < _LEAP_M:
+        leap = float(np.nanmedian(np.linalg.norm(old.points_C - new.points_C, axis=1)))
+        if np.mean(new.weight) >= _AS_CLEAR * usual and leap < _LEAP_M:
             found = sorted([*found, n])
+        else:
+            video.forget(n)
     return found
 
 
