@@ -97,6 +97,18 @@ def test_the_cloud_mends_noisy_joints() -> None:
     assert np.mean(after) < 0.5 * np.mean(before)
 
 
+def test_points_are_of_the_hands_front() -> None:
+    errors = []
+    for seed in range(5):
+        true = _posed(seed)
+        frame, mask = _frame_of(true)
+        seen = _seen(true, noise_m=0.004, seed=seed)
+        seen.points_C[:, 2] -= 0.022  # the hand's back comes to where its front is
+        fit = fit_hand(seen, back_project(frame.depth, CAMERA, mask=mask), side="right", scale=0.8)
+        errors.append(np.linalg.norm(fit.joints_C - true.joints_C, axis=1).mean())
+    assert max(errors) < 0.006
+
+
 def test_a_left_hand_is_fitted_as_its_mirror_image() -> None:
     true = _posed(2)
     frame, mask = _frame_of(true)
