@@ -32,7 +32,8 @@ def ordered_planner(grasps: GraspSet) -> Planner:
     """A `Planner` that walks down `grasps`, best first; see `place_of` for what `PickPlan.index` then means.
 
     Each is tried as it is and, by a parallel jaw, turned by half a turn. When none leads to a plan, the same grasps
-    carried over by the object's symmetry follow, in the same order: the object cannot tell them apart.
+    carried over by the object's symmetry follow, in the same order: the object cannot tell them apart. Only when that
+    leads to none either may grasps follow that lift the object with no friction to spare.
     """
     return partial(_plan, grasps)
 
