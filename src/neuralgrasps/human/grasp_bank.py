@@ -108,7 +108,7 @@ def random_solid(rng: np.random.Generator) -> Mesh:
         return capsule_mesh(rng.uniform(0.01, 0.025), rng.uniform(0.03, 0.14), segments=16)
     if kind == 4:
         half = rng.uniform([0.015, 0.025, 0.04], [0.045, 0.06, 0.12])
-        return rounded_box(half[rng.permutation(3)], rng.uniform(0.3, 0.95) * float(half.min()), arc_steps=3)
+        return rounded_box(half[rng.permutation(3)].tolist(), rng.uniform(0.3, 0.95) * float(half.min()), arc_steps=3)
     return _turned(rng, bottle=kind == 5)
 
 

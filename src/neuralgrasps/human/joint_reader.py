@@ -9,17 +9,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from neuralgrasps.errors import DataFormatError, InputError
-from neuralgrasps.files import write_whole
+from neuralgrasps.errors import InputError
 from neuralgrasps.human.crop import BOX_MARGIN, DEPTH_UNIT_M, Crop, crop_points, full_mask, mirrored, take_crop
 from neuralgrasps.human.joint_net import JointNet, JointVotes
+from neuralgrasps.human.net_files import ASSETS, read_weights
 from neuralgrasps.human.seen import HandBox, SeenJoints
 from neuralgrasps.human.skeleton import NUM_JOINTS
-from neuralgrasps.model.train_state import numpy_arrays, read_tensors
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.tensor_files import tensor_bytes
 
-WEIGHTS = Path(__file__).parent.parent / "assets" / "human" / "joints.safetensors"
+WEIGHTS = ASSETS / "joints.safetensors"
 
 _SOURCE = "depth net"
 _TRUST_M = 0.01  # an expected error that halves a joint's weight
@@ -50,15 +48,8 @@ class JointReader:
             InputError: no such file.
             DataFormatError: it is damaged or of another net.
         """
-        path = WEIGHTS if path is None else Path(path)
-        if not path.is_file():
-            raise InputError(f"weights '{path}' do not exist; `human train joints --out FILE` makes such a file.")
-        tensors, _ = read_tensors(path)
         net = JointNet()
-        try:
-            net.load_state_dict({name: value.float() for name, value in tensors.items()})
-        except RuntimeError as error:
-            raise DataFormatError(f"'{path}' holds no weights of this net: {error}.") from error
+        read_weights(net, WEIGHTS if path is None else path)
         return JointReader(net, looks=looks)
 
     def read(self, frame: Frame, box: HandBox) -> SeenJoints:
@@ -110,15 +101,6 @@ class JointReader:
         images = torch.from_numpy(inputs).to(kind).contiguous(memory_format=torch.channels_last)
         with torch.inference_mode():
             return self._net(images, torch.from_numpy(conditions).to(kind))
-
-
-def save_joint_net(net: JointNet, file: str | Path, *, notes: dict[str, str] | None = None) -> Path:
-    """Write weights for `JointReader.load`, in half precision."""
-    arrays = {
-        name: array.astype(np.float16) if array.dtype == np.float32 else array
-        for name, array in numpy_arrays(net.state_dict()).items()
-    }
-    return write_whole(file, tensor_bytes(arrays, notes))
 
 
 def box_of_joints(frame: Frame, points_C: np.ndarray, *, side: HandBox) -> HandBox:

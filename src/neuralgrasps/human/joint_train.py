@@ -131,7 +131,7 @@ class JointTraining:
         torch.set_num_threads(1)
         self.config, self.seed, self.done = config, seed, 0
         self.ranks, self.rank = ranks, rank
-        self.net = JointNet().to(memory_format=torch.channels_last)
+        self.net = JointNet().to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.averaged = deepcopy(self.net).eval()
         decays = [p for p in self.net.parameters() if p.ndim > 1]
         others = [p for p in self.net.parameters() if p.ndim <= 1]

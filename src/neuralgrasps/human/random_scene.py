@@ -21,7 +21,7 @@ from neuralgrasps.kinematics.forward_kernels import link_poses
 
 BACKGROUND, TABLE, OBJECT, HAND, FOREARM, CLUTTER = range(6)
 
-_RINGS, _ROUND = 5, 12  # of the forearm: the wrist, the cuff without and with cloth, half way, the elbow
+_RINGS, _ROUND = 6, 12  # of the forearm: the wrist (2), the cuff without and with cloth, half way, the elbow
 _WRIST_THICK_M, _WRIST_BROAD_M = (0.023, 0.033), (0.027, 0.039)  # half sizes of the wrist at scale 1
 _CLUTTER = 4
 
@@ -281,27 +281,31 @@ def _place_forearm(room, along, size):  # type: ignore[no-untyped-def]
     grows, curve = np.random.uniform(0.25, 0.85), np.random.uniform(0.5, 1.2)
     length = np.random.uniform(0.27, 0.37) * size
     sleeve = np.random.uniform(0.002, 0.018) if np.random.random() < 0.45 else 0.0
-    cuff = size * np.random.uniform(0.0, 0.15)
+    start, cuff = size * np.random.uniform(-0.02, 0.004), size * np.random.uniform(0.02, 0.15)
+    blunt, bend = np.random.uniform(0.5, 1.0), 0.0  # how round the start is; how far behind the wrist's origin it bends
+    if np.random.random() < 0.6:
+        bend = size * np.random.uniform(0.0, 0.03)
     side = np.empty(3)  # across the forearm in its broad direction: z of H made perpendicular to it
     for i in range(3):
         side[i] = (1.0 if i == 2 else 0.0) - along[2] * along[i]
     side /= math.sqrt(side[0] ** 2 + side[1] ** 2 + side[2] ** 2)
     over = np.cross(along, side)
     first, p = room.counts[0], np.empty(3)
-    start = -size * np.random.uniform(0.0, 0.02)
+    places = (start, start + 0.012 * size, cuff, cuff, 0.5 * (cuff + length), length)
     for ring in range(_RINGS):
-        distance = start if ring == 0 else cuff if ring <= 2 else cuff + (length - cuff) * (ring - 2.0) / (_RINGS - 3.0)
-        widen = 1.0 + grows * (max(distance, 0.0) / length) ** curve
-        cloth = sleeve if ring >= 2 else 0.0
+        widen = (blunt if ring == 0 else 1.0) * (1.0 + grows * (max(places[ring], 0.0) / length) ** curve)
+        cloth = sleeve if ring >= 3 else 0.0
         for k in range(_ROUND):
             angle = 2.0 * math.pi * k / _ROUND
             a, b = (widen * thick + cloth) * math.cos(angle), (widen * broad + cloth) * math.sin(angle)
             for i in range(3):
-                p[i] = distance * along[i] + a * over[i] + b * side[i]
+                p[i] = places[ring] * along[i] + a * over[i] + b * side[i]
+            p[0] += bend
             _moved(room.X_CH, p, room.points[first + ring * _ROUND + k])
     end = first + _RINGS * _ROUND
     for i in range(3):
         p[i] = length * along[i]
+    p[0] += bend
     _moved(room.X_CH, p, room.points[end])
     for ring in range(_RINGS):
         for k in range(_ROUND):
