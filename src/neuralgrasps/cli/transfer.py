@@ -135,6 +135,7 @@ def _timed(
     seed: int,
 ) -> tuple[TransferResult, GraspSet, dict[str, float]]:  # fmt: skip
     """The result, the known grasps it started from, and wall, CPU and (of the wall) compiling seconds."""
+    from neuralgrasps.apply.constrained_grasps import with_constrained
     from neuralgrasps.apply.transfer import made_grasps
     from neuralgrasps.apply.transfer import transfer as carry_over
     from neuralgrasps.cli.compiling import BEGINS, compile_clock
@@ -147,6 +148,8 @@ def _timed(
         stored = known.grasps(hand, asked.obj)
         if stored is None:
             stored = made_grasps(hand, asked.obj, config, support=constraints.support, seed=seed)
+        if constraints:
+            stored = with_constrained(constraints, hand, stored, protocol=config.protocol, seed=seed)
         result = carry_over(
             asked.query, hand, asked.obj, known=stored, config=config, support=constraints.support,
             constraints=constraints if constraints else None, seed=seed,

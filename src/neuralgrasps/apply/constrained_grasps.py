@@ -1,0 +1,76 @@
+"""Grasps made for constraints: where few of the known ones meet them, new ones are aimed at what may be touched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from neuralgrasps.apply.constraints import GraspConstraints
+from neuralgrasps.grasps.grasp_set import GraspSet, concatenate
+from neuralgrasps.hands.fingerprint import fingerprint
+from neuralgrasps.hands.hand import Hand
+from neuralgrasps.objects.object_model import ObjectModel
+from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
+from neuralgrasps.sim.validate import verdict_parameters
+from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
+
+ENOUGH = 10  # known grasps that meet the constraints: with fewer, some are made
+_FEWEST_POINTS = 16  # of the object's surface, to aim at
+_MADE, _ROUNDS = 60, 3
+
+
+def with_constrained(
+    constraints: GraspConstraints,
+    hand: Hand,
+    known: GraspSet,
+    *,
+    protocol: str,
+    enough: int = ENOUGH,
+    seed: int = 0,
+) -> GraspSet:
+    """The known grasps and, where fewer than `enough` meet the constraints, new ones that do.
+
+    New ones start from the surface that may be touched only; they take seconds once, and are kept.
+
+    Args:
+        known: grasps of the hand on the constraints' object. protocol: physics trial that the new ones held.
+    """
+    meets = constraints.allows(hand, known.X_OH, known.q, known.q_pregrasp)
+    aimed = aimed_object(constraints)
+    if int(meets.sum()) >= enough or aimed is None:
+        return known
+    settings = SynthesisConfig(count=_MADE, max_rounds=_ROUNDS, protocol=protocol)
+    support = constraints.support
+    made = remembered(
+        ("constrained", pair_fingerprint(hand, aimed), settings, seed, support),
+        lambda: synthesise(hand, aimed, config=settings, seed=seed, support=support).grasps,
+    )
+    made = made[constraints.allows(hand, made.X_OH, made.q, made.q_pregrasp)]
+    if not len(made):
+        return known
+    if not len(known):
+        return made
+    both = [_judged_by(hand, constraints.obj, one, protocol) for one in (known, made)]
+    agreed = all(protocol in one.verdicts for one in both)
+    return concatenate([one if agreed else replace(one, verdicts={}) for one in both])
+
+
+def aimed_object(constraints: GraspConstraints) -> ObjectModel | None:
+    """The object with only those of its surface points that may be touched; None where these are few."""
+    obj = constraints.obj
+    free, only = constraints.marked(obj.points_O)
+    kept = only if constraints.only_region else ~free
+    if kept.sum() < _FEWEST_POINTS:
+        return None
+    points_O, normals_O = obj.points_O[kept], obj.normals_O[kept]
+    return replace(obj, points_O=points_O, normals_O=normals_O, content_hash=fingerprint((obj.content_hash, points_O)))
+
+
+def _judged_by(hand: Hand, obj: ObjectModel, grasps: GraspSet, protocol: str) -> GraspSet:
+    """The grasps that hold, with the verdict of one protocol if they have it with the numbers of today."""
+    if grasps.verdicts:
+        grasps = grasps[np.any([v.success for v in grasps.verdicts.values()], axis=0)]
+    verdict = grasps.verdicts.get(protocol)
+    same = verdict is not None and dict(verdict.parameters) == verdict_parameters(hand, obj, protocol)
+    return replace(grasps, verdicts={protocol: verdict} if verdict is not None and same else {}, protocol=protocol)
