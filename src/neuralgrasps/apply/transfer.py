@@ -88,7 +88,7 @@ def transfer(
 ) -> TransferResult:
     """Grasps of `hand` that touch `obj` like the query, the most alike first, each tried in physics.
 
-    The result depends on the arguments only.
+    The result depends on the arguments only. What is kept of a pair between calls serves one thread at a time.
 
     Args:
         query: see `transfer_query`.
