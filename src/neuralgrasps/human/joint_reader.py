@@ -24,6 +24,7 @@ _TRUST_M = 0.01  # an expected error that halves a joint's weight
 _SKIN_M = 0.013  # of skin round the joints, for boxes
 _NEAR_M, _FAR_M = 0.035, 0.035  # a hand's surface is not farther from its joints' depths
 _SMALLEST_PX = 12.0  # narrower boxes show nothing
+_SAME_PLACE, _SAME_SIZE, _SAME_M = 0.03, 0.05, 0.015  # what second crops of the training images are off by
 
 
 class JointReader:
@@ -33,7 +34,8 @@ class JointReader:
         """Take a net; it is changed for use (`JointNet.fused`).
 
         Args:
-            looks: crops per reading, 1 or 2; one is enough where boxes come from the joints of a frame before.
+            looks: most crops per reading. One is enough where a box is right to a few per cent, as one that comes from
+                the joints of the frame before; then no second is taken.
         """
         self._half = _has_bf16()
         net = net.fused()
@@ -69,19 +71,16 @@ class JointReader:
             raise InputError(f"{len(frames)} frames but {len(boxes)} boxes; expected one box per frame.")
         crops = [_first_crop(frame, box) for frame, box in zip(frames, boxes, strict=True)]
         out = [_nothing_seen(box) for box in boxes]
-        rows = [row for row, crop in enumerate(crops) if crop is not None]
         for look in range(self._looks):
-            found = [crop for row in rows if (crop := crops[row]) is not None]
-            if not found:
+            rows = [row for row, crop in enumerate(crops) if crop is not None]
+            taken = [crop for crop in crops if crop is not None]
+            if not taken:
                 break
-            lefts = [boxes[row].side == "left" for row in rows]
-            points_C, widths, masks = self._run(found, lefts)
-            if look + 1 < self._looks:
-                for k, row in enumerate(rows):
-                    crops[row] = _crop_round(frames[row], points_C[k]) or crops[row]
-                continue
+            points_C, widths, masks = self._run(taken, [boxes[row].side == "left" for row in rows])
             for k, row in enumerate(rows):
-                out[row] = _seen(frames[row], boxes[row], found[k], points_C[k], widths[k], masks[k])
+                crops[row] = _crop_round(frames[row], points_C[k], taken[k]) if look + 1 < self._looks else None
+                if crops[row] is None:
+                    out[row] = _seen(frames[row], boxes[row], taken[k], points_C[k], widths[k], masks[k])
         return out
 
     def _run(self, crops: list[Crop], lefts: list[bool]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -126,13 +125,15 @@ def _first_crop(frame: Frame, box: HandBox) -> Crop | None:
     return take_crop(frame.depth, frame.intrinsics, u=u, v=v, side=side)
 
 
-def _crop_round(frame: Frame, points_C: np.ndarray) -> Crop | None:
+def _crop_round(frame: Frame, points_C: np.ndarray, before: Crop) -> Crop | None:
+    """The crop round joints; None where it is hardly another than the one before, or nothing was measured in it."""
     u0, v0, u1, v1 = _edges(frame, points_C)
+    u, v, depth_m = 0.5 * (u0 + u1), 0.5 * (v0 + v1), float(points_C[:, 2].mean())
     side = max(BOX_MARGIN * max(u1 - u0, v1 - v0), _SMALLEST_PX)
-    depth_m = float(points_C[:, 2].mean())
-    crop = take_crop(
-        frame.depth, frame.intrinsics, u=0.5 * (u0 + u1), v=0.5 * (v0 + v1), side=side, depth_m=depth_m
-    )  # fmt: skip
+    moved = max(abs(u - before.u), abs(v - before.v)) / side
+    if moved < _SAME_PLACE and abs(np.log(side / before.side)) < _SAME_SIZE and abs(depth_m - before.depth_m) < _SAME_M:
+        return None
+    crop = take_crop(frame.depth, frame.intrinsics, u=u, v=v, side=side, depth_m=depth_m)
     return crop if crop is not None and crop.inputs[1].any() else None
 
 
