@@ -149,7 +149,9 @@ def _timed(
         if stored is None:
             stored = made_grasps(hand, asked.obj, config, support=constraints.support, seed=seed)
         if constraints:
-            stored = with_constrained(constraints, hand, stored, protocol=config.protocol, seed=seed)
+            stored = with_constrained(
+                constraints, hand, stored, protocol=config.protocol, enough=config.count, seed=seed
+            )
         result = carry_over(
             asked.query, hand, asked.obj, known=stored, config=config, support=constraints.support,
             constraints=constraints if constraints else None, seed=seed,
