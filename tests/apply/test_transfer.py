@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from neuralgrasps.apply.transfer import FAST, TransferConfig, TransferResult, made_grasps, transfer
-from neuralgrasps.apply.transfer_pair import forget, transfer_pair
+from neuralgrasps.apply.transfer_order import Candidate, Order
+from neuralgrasps.apply.transfer_pair import forget, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_contacts, query_from_grasp
 from neuralgrasps.apply.transfer_reasons import squeezed_width, touched_sides
 from neuralgrasps.apply.transfer_search import SearchConfig
@@ -205,3 +206,24 @@ def test_wrong_input_is_refused(box_world: BoxWorld, query: TransferQuery, make_
             TransferConfig(**wrong)
     with pytest.raises(UnknownNameError, match="protocol"):
         TransferConfig(protocol="shaky")
+
+
+def test_what_settles_nearer_than_it_looked_still_comes_in_order(
+    box_world: BoxWorld, query: TransferQuery, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench")
+    order = Order(pair, target_of(query), SHORT, lambda X, q, before: np.ones(len(q), bool), least_epsilon=0.0, seed=0)
+    exact = (0.12, 0.11, 0.05, 0.3)  # of candidates that look 0.10, 0.11, 0.12 and 0.13 away
+
+    def finish(self: Order, item: Candidate) -> bool:
+        item.grasp, item.difference = box_world.grasps[item.source], exact[item.source]
+        return True
+
+    monkeypatch.setattr(Order, "_finish", finish)
+    for i in range(4):
+        grasp = box_world.grasps[i]
+        order.add(Candidate("generated", i, 0, grasp.X_OH[0], grasp.q[0], 0.10 + 0.01 * i))
+    chosen = order.best(3)
+    assert [item.source for item in chosen] == [2, 1, 0]
+    assert [item.difference for item in chosen] == sorted(item.difference for item in chosen)
+    assert order.tried == 3

@@ -18,6 +18,7 @@ from neuralgrasps.synthesis.candidates import VALID, Candidates
 from neuralgrasps.synthesis.finish import finish_grasps
 from neuralgrasps.synthesis.select import grasp_features
 
+_ROUGH = 0.97  # differences at some points only, before settling, are about so sure: finish before ruling out
 AllowsGrasps = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -70,7 +71,8 @@ class Order:
 
     def add(self, candidate: Candidate) -> None:
         """Queue a candidate."""
-        heapq.heappush(self._queue, (candidate.difference, len(self._items)))
+        key = candidate.difference if candidate.grasp is not None else _ROUGH * candidate.difference
+        heapq.heappush(self._queue, (key, len(self._items)))
         self._items.append(candidate)
 
     def best(self, count: int) -> list[Candidate]:
@@ -87,7 +89,7 @@ class Order:
             elif item.proven or self._prove(item):
                 chosen.append(item)
                 self._taken.append(self._features(item))
-        return chosen
+        return sorted(chosen, key=lambda item: item.difference)
 
     def _features(self, item: Candidate) -> np.ndarray:
         X_OH, q = (item.X_OH[None], item.q[None]) if item.grasp is None else (item.grasp.X_OH, item.grasp.q)
