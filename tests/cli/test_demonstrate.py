@@ -158,3 +158,12 @@ def test_grasps_of_another_hand_are_refused(ng: Call, video: Video, pipeline: Pi
     ended = ng(*video.args, "--grasps", file)
     assert ended.code == 2
     assert f"expected some of 'fetch' on '{OBJECT}'" in ended.err
+
+
+def test_constraints_that_leave_nothing_say_what_would_do_without_them(ng: Call, video: Video):
+    ended = ng(*video.args, "--count", 1, "--approach", "-z", "2deg", "--keep-free", "top:0.45")
+    assert ended.code == 1
+    assert ended.result["stage"] == "transfer"
+    assert "known grasps: of " in ended.result["reason"]
+    assert "without the constraints one of similarity 0." in ended.result["reason"]
+    assert ended.result["constraints"] == ["approach along -z within 2°", "keep top:0.45 free by 5 mm"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -100,6 +101,8 @@ def demonstrate(
     known = _known(terminal, object_name, obj, robot_hand, grasps)
     config = TransferConfig(count=count, method=method)
     demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
+    if demo.stage == "transfer" and rules is not None:
+        demo = replace(demo, reason=_reason_with(terminal, demo, obj, robot_hand, known, config, rules))
     pictured = report is not None or video is not None or out is not None
     trial = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else None
     story = DemonstrationStory(frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
@@ -222,6 +225,28 @@ def _watched(
             shown.frames, obj, hand, joints=shown.joints, side=side, known=known, constraints=rules, seed=seed,
             config=DemonstrateConfig(transfer=config),
         )  # fmt: skip
+
+
+def _reason_with(
+    terminal: Terminal, demo: Demonstration, obj: ObjectModel, hand: Hand, known: GraspSet | None,
+    config: TransferConfig, rules: GraspConstraints,
+) -> str:  # fmt: skip
+    """Why no grasp was found under the constraints: what each takes, and what would hold without them."""
+    from neuralgrasps.apply.demonstrate import demonstration_support
+    from neuralgrasps.apply.transfer import transfer
+
+    assert demo.query is not None
+    parts = [demo.reason.rstrip(".")]
+    if known is not None and len(known):
+        parts.append(f"known grasps: {rules.describe(hand, known.X_OH, known.q, known.q_pregrasp)}")
+    with terminal.progress("without the constraints"):
+        free = transfer(
+            demo.query, hand, obj, known=known, config=replace(config, count=1), seed=demo.seed,
+            support=demonstration_support(obj, demo.table_O),
+        )  # fmt: skip
+    if len(free.grasps):
+        parts.append(f"without the constraints one of similarity {free.similarity[0]:.2f} holds")
+    return "; ".join(parts) + "."
 
 
 def _executed(

@@ -82,7 +82,8 @@ def demonstration_report(
     demo, name = story.demo, pretty_name(story.obj.name)
     figure = demonstration_figure(story, say)
     say("the robot's grasps")
-    lists = () if demo.transfer is None else (shown_transfer(story),)
+    found = demo.transfer
+    lists = () if found is None or not len(found.grasps) + len(found.nearest) else (shown_transfer(story),)
     return DemoReport(
         title="Shown by a hand",
         subtitle=f"A person grasps the {name} before a depth camera; {_outcome(story, robot)}.",
@@ -199,7 +200,8 @@ def shown_transfer(story: DemonstrationStory) -> TransferList:
         )  # fmt: skip
     shown = transfer_list(
         result, demo.query, story.hand, story.obj,
-        title="shown by the person", text=result.reason or _QUERY_TEXT, grasp=(as_person(demo.human), demo.X_OH, demo.q),
+        title="shown by the person", text=result.reason or _QUERY_TEXT,
+        grasp=(as_person(demo.human), demo.X_OH, demo.q),
     )  # fmt: skip
     place = None if story.trial is None else executed_place(story.trial, demo)
     grasps = [

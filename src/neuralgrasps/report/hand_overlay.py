@@ -24,6 +24,7 @@ from neuralgrasps.report.shading import Style, Surface, shade
 FINGER_COLOURS = ("#ff5d5d", "#ffb02e", "#f4f04a", "#5fe06a", "#4db8ff")
 """Thumb to little finger."""
 WRIST_COLOUR, BOX_COLOUR, MASK_COLOUR, OBJECT_LINES = "#ffffff", "#ff7ad9", "#ff9ec4", "#37d3ff"
+_FITTED_COLOUR = "#ffd3e2"
 _EDGE = (8, 10, 14)
 _R_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # camera to a frame whose z is up in the image
 _SEEN, _HIDDEN = 0.66, 0.30  # how much of the picture the fitted hand covers, where seen and behind something
@@ -188,7 +189,7 @@ def _draw_hand(
     view = canvas[rows, columns]
     view += (strength * shaded[..., 3])[..., None] * (shaded[..., :3] - view)
     distance = np.asarray(ndimage.distance_transform_edt(~lines.contour), np.float32)
-    for tone, width_px, amount in ((np.array(_EDGE), 1.1, 0.55), (_rgb("#ffd3e2"), 0.55, 0.95)):
+    for tone, width_px, amount in ((np.array(_EDGE), 1.1, 0.55), (_rgb(_FITTED_COLOUR), 0.55, 0.95)):
         stroke = ndimage.gaussian_filter((distance <= width_px * min(scale, 2)).astype(np.float32), 0.6)
         _blend(view, tone / 255.0, amount * stroke * (strength / _SEEN))
 
@@ -274,6 +275,12 @@ def _labels(
         ends = (np.array([[b.u_min, b.v_min], [b.u_max, b.v_max]]) - corner + 0.5) * scale
         text = f"{b.side}{doubt} hand, {100 * b.score:.0f} %"
         found.append(Label(text=text, colour=BOX_COLOUR, target=_area(ends, shape)))
+    elif layers.fitted is not None:
+        uv = project(layers.fitted.joints_C, k)
+        uv = (uv[np.isfinite(uv).all(axis=1)] + 0.5) * scale
+        if len(uv):
+            area = _area(np.array([uv.min(axis=0), uv.max(axis=0)]), shape)
+            found.append(Label(text=f"fitted {layers.fitted.side} hand", colour=_FITTED_COLOUR, target=area))
     if layers.name and layers.mesh is not None and layers.X_CO is not None:
         uv = project(layers.mesh.vertices @ layers.X_CO[:3, :3].T + layers.X_CO[:3, 3], k)
         uv = uv[np.isfinite(uv).all(axis=1)]
