@@ -61,17 +61,17 @@ def test_an_unsure_side_is_decided_by_the_fit(grasp_video, true_eyes, said):
 
 
 def test_a_lifted_object_takes_the_hand_along(grasp_video, true_eyes):
-    """Half of the still frames are seen with camera and object moved together: the pose of the object tells."""
+    """Object and joints move on together early in the still phase: the frames before that are the grasp."""
     X_CO = grasp_video.X_CO.copy()
-    X_CO[16:, :3, 3] += [0.0, -0.05, 0.0]
+    X_CO[12:, :3, 3] += [0.0, -0.05, 0.0]
     joints = grasp_video.joints_C.copy()
-    joints[16:] += [0.0, -0.05, 0.0]
+    joints[12:] += [0.0, -0.05, 0.0]
     given = [
         SeenJoints(points_C=p, weight=np.ones(21), mask=None, side="right", source="test") if np.isfinite(p).all()
         else None for p in joints
     ]  # fmt: skip
     track = watch_hand(grasp_video.frames, joints=given, obj=grasp_video.obj, X_CO=X_CO)
-    assert track.stage == "" and STILL_FROM <= track.moment < 16  # before it moves
+    assert track.stage == "" and STILL_FROM <= track.moment < 12  # before it moves
 
 
 def test_given_joints_need_no_detector(grasp_video):
