@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.parallel import WorkerDiedError, available_cpus, run_tasks
+from neuralgrasps.parallel import WorkerDiedError, available_cpus, beside, run_tasks
 
 # Workers can import only what is installed, so the tasks are functions of the standard library.
 
@@ -110,3 +110,34 @@ def test_workers_end_with_a_killed_parent():
 def test_results_do_not_depend_on_the_order_of_completion():
     answers = list(run_tasks(operator.mul, [(i, i) for i in range(20)], workers=2))
     assert sorted(answers) == [(i, i * i) for i in range(20)]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_task_beside_answers_when_asked(workers):
+    with beside(math.pow, 3.0, 2.0, workers=workers) as result:
+        assert len(_workers()) == workers - 1
+        assert result() == 9.0
+        assert _workers() == []
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_exception_beside_reaches_who_asks(workers):
+    with beside(math.sqrt, -1.0, workers=workers) as result, pytest.raises(ValueError, match="math domain error"):
+        result()
+    assert _workers() == []
+
+
+def test_a_body_that_fails_ends_the_task_beside():
+    with pytest.raises(KeyError), beside(time.sleep, 600.0, workers=2):
+        raise KeyError
+    assert _workers() == []
+
+
+def test_a_task_beside_that_dies_is_told():
+    with beside(os._exit, 3, workers=2) as result, pytest.raises(WorkerDiedError, match="memory"):
+        result()
+
+
+def test_a_task_beside_needs_a_worker():
+    with pytest.raises(InputError, match="workers is 0"), beside(math.sqrt, 4.0, workers=0):
+        pass

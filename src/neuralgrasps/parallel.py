@@ -74,6 +74,40 @@ def thread_map(function: Callable[[Any], Any], items: Sequence[Any], *, threads:
         return list(pool.map(function, items))
 
 
+@contextmanager
+def beside(function: Callable[..., Any], *arguments: Any, workers: int | None = None) -> Iterator[Callable[[], Any]]:
+    """Run `function(*arguments)` in a process of its own while the body of the `with` statement goes on.
+
+    Yields a function that waits for the result, returns it, and ends the process. With `workers=1` it does the work
+    itself. A body that ends without asking ends the process. What must be importable and picklable: see `run_tasks`.
+
+    Raises:
+        InputError: fewer than one worker. From the yielded function: what `function` raised, or WorkerDiedError.
+    """
+    workers = available_cpus() if workers is None else workers
+    if workers < 1:
+        raise InputError(f"workers is {workers}; expected at least 1.")
+    if workers == 1:
+        yield lambda: function(*arguments)
+        return
+    pool = _pool(1)
+    with _one_thread_each():
+        future = pool.submit(function, *arguments)
+
+    def result() -> Any:
+        try:
+            return future.result()
+        except BrokenProcessPool as error:
+            raise _died() from error
+        finally:
+            pool.shutdown(wait=True)
+
+    try:
+        yield result
+    finally:
+        _end(pool, at_once=not future.done())
+
+
 def blocks(count: int, parts: int) -> list[slice]:
     """Slices that cut `count` items into `parts` runs of nearly equal length."""
     edges = [count * i // parts for i in range(parts + 1)]
@@ -100,9 +134,7 @@ def run_tasks(
         for index, task in enumerate(tasks):
             yield index, function(*task)
         return
-    pool = ProcessPoolExecutor(
-        min(workers, len(tasks)), mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
-    )
+    pool = _pool(min(workers, len(tasks)))
     waiting: dict[Any, int] = {}
     try:
         with _one_thread_each():
@@ -113,12 +145,25 @@ def run_tasks(
             for future in done:
                 yield waiting.pop(future), future.result()
     except BrokenProcessPool as error:
-        raise WorkerDiedError(
-            "a worker process ended without an answer. Most often memory ran out: try fewer workers (--workers 1). In "
-            "a script of your own, call this below `if __name__ == '__main__':`, for every worker imports that script."
-        ) from error
+        raise _died() from error
     finally:
-        for process in list((pool._processes or {}).values()):
-            if waiting:
-                process.terminate()
-        pool.shutdown(wait=True, cancel_futures=True)
+        _end(pool, at_once=bool(waiting))
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker)
+
+
+def _end(pool: ProcessPoolExecutor, *, at_once: bool) -> None:
+    """End the workers; `at_once`: in the middle of what they do."""
+    for process in list((pool._processes or {}).values()):
+        if at_once:
+            process.terminate()
+    pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _died() -> WorkerDiedError:
+    return WorkerDiedError(
+        "a worker process ended without an answer. Most often memory ran out: try fewer workers (--workers 1). In "
+        "a script of your own, call this below `if __name__ == '__main__':`, for every worker imports that script."
+    )

@@ -90,6 +90,21 @@ def test_page_is_well_formed_and_shows_every_section():
     assert all(image.get("alt") is not None for image in root.iter(f"{HTML}img"))
 
 
+def test_a_part_is_one_section_that_holds_those_of_its_report():
+    part = DemoReport(title="Inner <1>", command="", subtitle="Why & how", notes=("a note",))
+    html = report_html(
+        DemoReport(title="Outer", command="c", notes=("last",), parts=(part, replace(part, title="Two")))
+    )
+    root = ET.fromstring(html.removeprefix("<!DOCTYPE html>\n"))
+    sections = {s.get("id"): s for s in root.iter(f"{HTML}section")}
+    assert list(sections) == ["part-1", "part-2", "notes"]
+    inner = sections["part-1"]
+    assert [(e.tag.removeprefix(HTML), e.text) for e in inner][:3] == [
+        ("h2", "Inner <1>"), ("p", "Why & how"), ("h3", "Notes"),
+    ]  # fmt: skip
+    assert [e.text for e in inner.iter(f"{HTML}li")] == ["a note"]
+
+
 def test_page_loads_nothing_from_elsewhere():
     html = report_html(full_report())
     references = re.findall(r"""(?:src|href|action|data|poster)\s*=\s*["']([^"']*)""", html)

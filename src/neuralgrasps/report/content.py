@@ -347,7 +347,10 @@ class Histogram:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoReport:
-    """One run of the demo, everything its page shows. Only `title` and `command` are required."""
+    """One run of the demo, everything its page shows. Only `title` and `command` are required.
+
+    `parts` are other reports, each shown as one section: its title, subtitle and sections.
+    """
 
     title: str
     command: str
@@ -370,6 +373,7 @@ class DemoReport:
     poses: tuple[PoseFigure, ...] = ()
     frames: tuple[FrameFigure, ...] = ()
     executions: tuple[ExecutionFigure, ...] = ()
+    parts: tuple[DemoReport, ...] = ()
     synthesis: tuple[SynthesisRow, ...] = ()
     dataset: tuple[tuple[str, str], ...] = ()
     model: tuple[ModelRow, ...] = ()

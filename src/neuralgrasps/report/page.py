@@ -182,6 +182,7 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
     ]
     sections = [] if report.demonstration is None else demonstration_sections(report.demonstration, pictures)
     sections += [(name, title, build()) for name, title, shown, build in builders if shown]
+    sections += [(f"part-{k}", part.title, _part(part, pictures)) for k, part in enumerate(report.parts, start=1)]
     numbers = _numbers(report)
     if numbers:
         sections.append(("numbers", "Measured quality", numbers))
@@ -193,6 +194,12 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
         sections.append(("notes", "Notes", f'<ul class="notes">{items}</ul>'))
     return [(name, report.section_titles.get(name, title), content) for name, title, content in sections]
+
+
+def _part(part: DemoReport, pictures: PictureEncoder) -> str:
+    """A report inside another: its subtitle, and its sections one level lower."""
+    lead = f"<p>{escape(part.subtitle)}</p>" if part.subtitle else ""
+    return lead + "".join(_headed(part, "h3", *section) for section in _sections(part, pictures))
 
 
 def _feasibility(report: DemoReport, pictures: PictureEncoder) -> str:
@@ -222,9 +229,13 @@ def _listing(listing: Listing) -> str:
 
 
 def _section(report: DemoReport, name: str, title: str, content: str) -> str:
+    return f'<section id="{name}">{_headed(report, "h2", name, title, content)}</section>'
+
+
+def _headed(report: DemoReport, level: str, name: str, title: str, content: str) -> str:
     text = report.section_texts.get(name, _TEXTS.get(name, ""))
     paragraph = f"<p>{escape(text)}</p>" if text else ""
-    return f'<section id="{name}"><h2>{escape(title)}</h2>{paragraph}{content}</section>'
+    return f"<{level}>{escape(title)}</{level}>{paragraph}{content}"
 
 
 def _hero(report: DemoReport) -> str:
