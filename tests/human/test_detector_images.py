@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from human_scenes import small_bank
 
 from neuralgrasps.human.detect import FoundHands
 from neuralgrasps.human.detector_figures import detector_figures
@@ -13,6 +12,7 @@ from neuralgrasps.human.detector_images import DetectorImages, ImageMaker, with_
 from neuralgrasps.human.detector_net import DetectorNet
 from neuralgrasps.human.detector_train import DetectorTrainConfig, train_detector, train_step
 from neuralgrasps.human.grasp_bank import GraspBank
+from tests.human.human_scenes import small_bank
 
 _FIELDS = ("depth", "boxes", "right", "known", "ignored", "visible", "distance_m")
 
@@ -122,9 +122,7 @@ def test_training_goes_on_to_the_same_weights(bank: GraspBank, tmp_path, monkeyp
     with pytest.raises(KeyboardInterrupt):
         train_detector(bank, config=config, state=state, progress=stop)
     seen: list[int] = []
-    resumed = train_detector(
-        bank, config=config, state=state, progress=lambda done, total, loss: seen.append(done)
-    )
+    resumed = train_detector(bank, config=config, state=state, progress=lambda done, total, loss: seen.append(done))
     assert seen == [3, 4] and not state.exists()
     for name, value in whole.state_dict().items():
         torch.testing.assert_close(resumed.state_dict()[name], value, atol=1e-6, rtol=1e-5)
