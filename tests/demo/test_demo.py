@@ -36,6 +36,9 @@ def test_page_holds_every_section_and_loads_nothing(finished):
     assert "From pose to lifted object" in page and "data:image/webp" in page
     for word in ("Grasps", "Contact maps", "Retrieval", "Latent space", "Object pose", "Measured quality", "Times"):
         assert word in page
+    assert '<section id="part-1"><h2>Shown by a hand</h2>' in page
+    for word in ("Stage by stage", "What was shown", "The grasp", "Grasps of the robot"):
+        assert f"<h3>{word}</h3>" in page
     assert "torsional friction 0.02 m" in page and "stand-ins of published size" in page
     assert page.count("<img") >= len(HANDS) * 3
     assert 'src="http' not in page and 'href="http' not in page
@@ -53,6 +56,7 @@ def test_figures_are_measured(finished):
     assert 0.0 < figures["hand_surface_complete_mean_mm"] < 5.0
     assert figures["pose_add_s_median_mm"] < 3.0
     assert figures["lift_trials"] == 1.0 and figures["lifted"] in (0.0, 1.0)
+    assert 0.0 < figures["demonstration_similarity"] <= 1.0 and figures["demonstration_lifted"] in (0.0, 1.0)
     assert figures["demo_wall_s"] > 0.0 and figures["peak_rss_gb"] > 0.05
 
 
@@ -77,7 +81,7 @@ def test_dataset_is_whole(finished):
 def test_second_run_keeps_the_grasps_and_two_workers_change_nothing(finished, tmp_path):
     out, first = finished
     stamps = {p: p.stat().st_mtime_ns for p in (out / "grasps").rglob("*.safetensors")}
-    again = run_demo(small(out))
+    again = run_demo(small(out, demonstration=False))
     assert {p: p.stat().st_mtime_ns for p in stamps} == stamps
     fresh = run_demo(small(tmp_path, workers=2))
     for hand in HANDS:
@@ -88,6 +92,9 @@ def test_second_run_keeps_the_grasps_and_two_workers_change_nothing(finished, tm
     for result in (again, fresh):
         for key in ("penetration_p95_mm", "retrieval_gap", "hand_surface_one_view_mean_mm", "pose_add_s_median_mm"):
             assert result.figures[key] == first.figures[key]
+    for key in ("demonstration_similarity", "demonstration_lifted"):
+        assert fresh.figures[key] == first.figures[key] and key not in again.figures
+    assert "Shown by a hand" in fresh.report_path.read_text() and "Shown by a hand" not in again.report_path.read_text()
 
 
 def test_records_are_json_with_reasons(finished):

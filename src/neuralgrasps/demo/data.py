@@ -11,6 +11,7 @@ import numpy as np
 
 from neuralgrasps.dataset.collect import PairRecord
 from neuralgrasps.dataset.read import GraspDataset
+from neuralgrasps.demo.demonstration import ShownByHand
 from neuralgrasps.demo.execution import Lift
 from neuralgrasps.demo.latent import LatentMeasures
 from neuralgrasps.demo.measure import GraspMeasures, PoseTrial
@@ -37,6 +38,7 @@ class DemoConfig:
         workers: processes; all processors when None. No result depends on it.
         out: folder for the page, the grasps, the data set and the fitted field.
         pose_views: depth views per object.
+        demonstration: a person's grasp is shown to a robot, too.
         command: what was typed, for the page.
     """
 
@@ -47,6 +49,7 @@ class DemoConfig:
     workers: int | None = None
     out: Path = Path("out")
     pose_views: int = 10
+    demonstration: bool = True
     command: str = "neuralgrasps demo"
 
     def __post_init__(self) -> None:
@@ -86,6 +89,7 @@ class DemoData:
     latent: LatentMeasures
     poses: Sequence[PoseTrial]
     lifts: Sequence[Lift] = ()
+    shown: ShownByHand | None = None
 
     @property
     def lifted(self) -> int:
@@ -134,7 +138,24 @@ def demo_figures(data: DemoData, stages: Sequence[Stage]) -> dict[str, float]:
         "pose_wall_median_s": float(np.median([t.wall_s for t in data.poses])),
         "lift_trials": float(len(data.lifts)),
         "lifted": float(data.lifted),
+        **_shown_figures(data.shown),
     }
+
+
+def _shown_figures(shown: ShownByHand | None) -> dict[str, float]:
+    """What was measured of the demonstration."""
+    measured = {} if shown is None else {"similarity": shown.similarity, "lifted": shown.lifted}
+    return {f"demonstration_{name}": float(value) for name, value in measured.items() if value is not None}
+
+
+def _shown_line(shown: ShownByHand) -> str:
+    if not shown.object:
+        return f"no demonstration was recorded: {shown.reason}"
+    begin = f"a person's grasp of {shown.object} in a depth video, simulated"
+    if shown.stage:
+        return f"{begin}: stopped at {shown.stage.lower()}: {shown.reason}"
+    end = "" if shown.lifted is None else ", and lifts it"
+    return f"{begin}: {shown.hand} touches it alike (contact similarity {shown.similarity:.2f}){end}"
 
 
 def summary_lines(data: DemoData, figures: Mapping[str, float]) -> tuple[str, ...]:
@@ -156,6 +177,7 @@ def summary_lines(data: DemoData, figures: Mapping[str, float]) -> tuple[str, ..
             if data.lifts
             else []
         ),
+        *([_shown_line(data.shown)] if data.shown is not None else []),
         f"{figures['demo_wall_s']:.0f} s on {data.config.workers or available_cpus()} processes, "
         f"{figures['peak_rss_gb']:.1f} GB, on {platform.machine()}",
     ]

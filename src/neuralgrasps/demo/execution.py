@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from neuralgrasps.apply.table_scenes import TableScene, scene_table, scene_world
+from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.demo.measure import Progress
-from neuralgrasps.evaluate.execute import ExecuteConfig, execute_trial
+from neuralgrasps.evaluate.execute import ExecuteConfig, Trial, execute_trial
 from neuralgrasps.evaluate.execute_bench_trials import robot_of, solvable_scene
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.objects.object_model import ObjectModel
@@ -26,7 +27,8 @@ from neuralgrasps.report.scene_views import lamp_direction, lit_zone, main_view
 from neuralgrasps.report.trial_pictures import moving_picture, strip_pictures, trial_figure, trial_record
 from neuralgrasps.seeds import child_seed
 
-_ROBOTS = ("fetch", "panda")  # hands that come with an arm of the same name
+ARMED = ("fetch", "panda")
+"""Hands that come with an arm of the same name."""
 _EVERY_S = 0.04
 _LOOP_SIZE = (400, 300)
 
@@ -53,7 +55,7 @@ def lift_objects(
     Args:
         objects: by name. grasp_sets: of several hands. seed: of scenes and sensors. workers: processes.
     """
-    robot = next((name for name in _ROBOTS if any(g.hand == name for g in grasp_sets)), None)
+    robot = next((name for name in ARMED if any(g.hand == name for g in grasp_sets)), None)
     tasks = [(robot, objects[g.object], g, seed) for g in grasp_sets if robot is not None and g.hand == robot]
     lifts: dict[int, Lift] = {}
     for done, (index, lift) in enumerate(run_tasks(_lift, tasks, workers=workers), start=1):
@@ -72,14 +74,23 @@ def _lift(robot: str, obj: ObjectModel, grasps: GraspSet, seed: int) -> Lift | N
         return None
     config = ExecuteConfig(record_every_s=_EVERY_S)
     trial = execute_trial(scene, manipulator, grasps=grasps, config=config, seed=child_seed(seed, "lift", obj.name))
-    film, record = open_film(trial, manipulator), trial_record(trial)
-    figure = trial_figure(record, strip_pictures(film), number=0, moving=moving_picture(film, _LOOP_SIZE))
-    return Lift(robot=robot, record=record, figure=replace(figure, title=figure.title.partition(",")[0]))
+    return Lift(robot=robot, record=trial_record(trial), figure=lift_figure(trial, manipulator))
+
+
+def lift_figure(trial: Trial, manipulator: Manipulator) -> ExecutionFigure:
+    """The card of a trial: its pictures, its film and its numbers, under the object's name."""
+    pictures: dict[str, np.ndarray] = {}
+    moving = b""
+    if trial.recording is not None and len(trial.recording) > 1:
+        film = open_film(trial, manipulator)
+        pictures, moving = strip_pictures(film), moving_picture(film, _LOOP_SIZE)
+    figure = trial_figure(trial_record(trial), pictures, number=0, moving=moving)
+    return replace(figure, title=figure.title.partition(",")[0])
 
 
 def compile_planning(obj: ObjectModel) -> None:
     """Compile what planning needs: one grasp from above."""
-    manipulator = robot_of(_ROBOTS[0], _ROBOTS[0])
+    manipulator = robot_of(ARMED[0], ARMED[0])
     scene = _standing(obj)
     grasp = _from_above(manipulator.hand.X_HP, manipulator.hand.q_open, scene.objects[0])
     q_home = manipulator.q_home[manipulator.arm_dofs]
@@ -88,7 +99,7 @@ def compile_planning(obj: ObjectModel) -> None:
 
 def compile_pictures(obj: ObjectModel) -> None:
     """Compile what draws scenes."""
-    manipulator, scene = robot_of(_ROBOTS[0], _ROBOTS[0]), _standing(obj)
+    manipulator, scene = robot_of(ARMED[0], ARMED[0]), _standing(obj)
     drawn = make_scene(manipulator, [obj], scene.table)
     moment = manipulator.q_home, scene.objects[0].X_BO[None]
     view = main_view(drawn, [moment], size=(64, 48))
@@ -98,7 +109,7 @@ def compile_pictures(obj: ObjectModel) -> None:
 
 
 def _standing(obj: ObjectModel) -> TableScene:
-    table = scene_table(robot_of(_ROBOTS[0], _ROBOTS[0]).arm)
+    table = scene_table(robot_of(ARMED[0], ARMED[0]).arm)
     X_BO = resting_poses(obj.mesh.vertices, obj.com_O)[0][0].copy()
     X_BO[:3, 3] += table.X_BX[:3, 3] + [0.0, 0.0, table.half[2]]
     return TableScene(table=table, objects=(PlacedObject(obj=obj, X_BO=X_BO),), seed=0)
@@ -111,7 +122,7 @@ def _from_above(X_HP: np.ndarray, q_open: np.ndarray, placed: PlacedObject) -> G
     X_BP[:3, 3] = placed.X_BO[:3, :3] @ placed.obj.com_O + placed.X_BO[:3, 3] + [0.0, 0.0, 0.12]
     contacts = np.full((1, 0, 3), np.nan)
     return GraspSet(
-        hand=_ROBOTS[0],
+        hand=ARMED[0],
         object=placed.obj.name,
         X_OH=(np.linalg.inv(placed.X_BO) @ X_BP @ np.linalg.inv(X_HP))[None],
         q=0.5 * q_open[None],

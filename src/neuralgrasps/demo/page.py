@@ -122,6 +122,7 @@ def write_page(data: DemoData, meter: Meter, *, workers: int, progress: Progress
             ),
             poses=poses,
             executions=tuple(lift.figure for lift in data.lifts),
+            parts=() if data.shown is None else (data.shown.page,),
             synthesis=synthesis_rows(data),
             dataset=dataset_facts(data),
             model=model_rows(data),
@@ -214,6 +215,11 @@ def _notes(data: DemoData) -> tuple[str, ...]:
         "objects need more. They rest on the torsional friction of 0.02 m: many two-finger grasps slip without it.",
         "Depth images are simulated; real cameras have biases that this sensor model does not contain.",
     ]
+    if data.shown is not None:
+        notes.append(
+            "The demonstration is worked on beside the other stages: its wall time is what was left to wait for, its "
+            "processor time is all of it."
+        )
     if not data.are_scans:
         notes.append("Objects named after YCB ones are stand-ins of published size unless a mesh file was given.")
     return (*notes, *(f"{r.hand} on {r.object}: {r.reason}." for r in data.records if r.reason))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 
 from neuralgrasps.dataset.build import build_dataset
 from neuralgrasps.dataset.collect import collect_grasps
 from neuralgrasps.dataset.read import read_dataset
 from neuralgrasps.demo.compile import load_and_compile
 from neuralgrasps.demo.data import DemoConfig, DemoData, DemoResult, demo_figures, summary_lines
+from neuralgrasps.demo.demonstration import show_by_hand
 from neuralgrasps.demo.execution import lift_objects
 from neuralgrasps.demo.latent import measure_latent
 from neuralgrasps.demo.measure import measure_grasps, pose_trials
@@ -20,7 +22,7 @@ from neuralgrasps.model.checkpoint import save_run
 from neuralgrasps.model.train import TrainConfig, train
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.objects.zoo import object_sources
-from neuralgrasps.parallel import available_cpus
+from neuralgrasps.parallel import available_cpus, beside
 from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
 Progress = Callable[[str, int, int, str], None]
@@ -43,7 +45,7 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
     say = progress or (lambda *_: None)
     workers = config.workers or available_cpus()
     sources = object_sources(config.objects)
-    with Meter(lambda stage: say(stage, 0, 0, "")) as meter:
+    with Meter(lambda stage: say(stage, 0, 0, "")) as meter, ExitStack() as stack:
         with meter.stage("hands and objects"):
             hands = {hand.name: hand for hand in map(load_hand, config.hands)}
             objects = _load_objects(sources, workers, say)
@@ -56,6 +58,9 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
         kept = [g for g in grasp_sets if len(g) >= 2]
         if not kept:
             raise InputError("no grasp was found on any object; " + "; ".join(sorted({r.reason for r in records})))
+        # beside the stages that follow, for training and poses leave processors free
+        show = beside(show_by_hand, hands, objects, kept, config.seed, workers=workers)
+        shown = stack.enter_context(show) if config.demonstration else None
         with meter.stage("data set"):
             build_dataset(
                 config.out / "dataset", kept, hands=hands, objects=objects, workers=workers,
@@ -82,9 +87,14 @@ def run_demo(config: DemoConfig | None = None, *, progress: Progress | None = No
             lifts = lift_objects(
                 objects, kept, seed=config.seed, workers=workers, progress=lambda *a: say("lifting", *a)
             )
+        demonstration = None
+        if shown is not None:
+            with meter.stage("demonstration"):
+                demonstration = shown()
         data = DemoData(
             config=config, hands=hands, objects=objects, grasp_sets=kept, records=records, grasps=grasps,
             dataset=dataset, trained=trained, latent=latent, poses=poses, lifts=lifts,
+            shown=demonstration,
         )  # fmt: skip
         path = write_page(data, meter, workers=workers, progress=lambda *a: say("pictures", *a))
     figures = demo_figures(data, meter.stages)
