@@ -20,12 +20,11 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.human.hand_video import camera_poses
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
 from neuralgrasps.human.sighting import HandFinder, JointSource, joints_box
 from neuralgrasps.human.watch import HandTrack, WatchConfig, watch_hand
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.frame import Frame, camera_poses
 from neuralgrasps.perception.object_video import FollowedObject, Hidden, follow_object, table_in_object
 from neuralgrasps.planning.resting_plane import nearest_resting_plane
 from neuralgrasps.synthesis.support import Support

@@ -167,9 +167,3 @@ def object_poses(X_CO: np.ndarray | Sequence[np.ndarray | None] | None, count: i
         if pose is not None:
             out[number] = pose
     return out
-
-
-def camera_poses(frames: Sequence[Frame]) -> np.ndarray:
-    """(T, 4, 4) the cameras in the world; identities unless all frames say."""
-    known = [f.X_WC for f in frames if f.X_WC is not None]
-    return np.stack(known) if len(known) == len(frames) else np.tile(np.eye(4), (len(frames), 1, 1))

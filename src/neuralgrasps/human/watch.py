@@ -11,14 +11,14 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.human.fuse import seen_share
 from neuralgrasps.human.hand_cloud import CloudConfig
-from neuralgrasps.human.hand_video import HandVideo, camera_poses, object_poses
+from neuralgrasps.human.hand_video import HandVideo, object_poses
 from neuralgrasps.human.look import LookConfig, followed_frames, look
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
 from neuralgrasps.human.side_and_size import decide_side, measure_hand
 from neuralgrasps.human.sighting import HandFinder, JointSource
 from neuralgrasps.human.still_grasp import GraspLimits, StillGrasp, find_still_grasp
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.frame import Frame, camera_poses
 from neuralgrasps.perception.table import find_table
 
 _HIDDEN = 0.35  # share of the joints that a frame shows from which on little is hidden

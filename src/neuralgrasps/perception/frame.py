@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +57,12 @@ class Frame:
         height = (along + down[:, None]) * self.depth + plane.offset_m
         height[self.depth == 0] = np.nan
         return height
+
+
+def camera_poses(frames: Sequence[Frame]) -> np.ndarray:
+    """(T, 4, 4) the cameras of T frames in the world; identities, a camera at rest, unless all frames say."""
+    known = [f.X_WC for f in frames if f.X_WC is not None]
+    return np.stack(known) if len(known) == len(frames) else np.tile(np.eye(4), (len(frames), 1, 1))
 
 
 def checked_pose(X: np.ndarray, what: str) -> np.ndarray:

@@ -13,7 +13,7 @@ from neuralgrasps.geometry.raster import depth_images
 from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.clusters import find_clusters
-from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.frame import Frame, camera_poses
 from neuralgrasps.perception.pose import PoseResult, estimate_pose
 from neuralgrasps.perception.table import TableFit, find_table
 from neuralgrasps.perception.track import track_pose
@@ -135,7 +135,7 @@ def _follow(
     frames: Sequence[Frame], obj: ObjectModel, start: int, pose: PoseResult, table: TableFit, seed: int
 ) -> FollowedObject:
     poses, seen = np.full((len(frames), 4, 4), np.nan), np.zeros(len(frames))
-    X_WC = _camera_poses(frames)
+    X_WC = camera_poses(frames)
     X_WO = X_WC[start] @ pose.X_CO
     usual, _ = _compare(frames[start], obj, pose.X_CO)
     moves_from: int | None = None
@@ -158,11 +158,6 @@ def _follow(
         X_CO=poses, seen=seen, found_in=start, pose=pose, table=table, moves_from=moves_from, lost_from=lost_from,
         reason="",
     )  # fmt: skip
-
-
-def _camera_poses(frames: Sequence[Frame]) -> list[np.ndarray]:
-    known = [f.X_WC for f in frames if f.X_WC is not None]
-    return known if len(known) == len(frames) else [np.eye(4)] * len(frames)
 
 
 def _tracked(view: Frame, obj: ObjectModel, X_CO: np.ndarray, table_C: Plane, seed: int) -> np.ndarray | None:
