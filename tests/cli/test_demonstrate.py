@@ -78,7 +78,7 @@ def test_a_video_becomes_grasps_that_hold_and_a_lifted_object(ng: Call, video: V
     assert (out / "grasp_1.png").exists()
     html = page.read_text(encoding="utf-8")
     assert "Stage by stage" in html
-    assert "Carried out: " in html
+    assert "Carried out, no. " in html
 
 
 def test_the_stage_that_fails_is_named_with_its_reason(ng: Call, video: Video, tmp_path: Path):

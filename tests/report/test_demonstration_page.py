@@ -19,7 +19,13 @@ from neuralgrasps.perception.object_video import FollowedObject
 from neuralgrasps.perception.pose import PoseResult
 from neuralgrasps.report.content import DemoReport
 from neuralgrasps.report.demonstration_content import DemonstrationFigure, StageFigure, TrackFigure
-from neuralgrasps.report.demonstration_page import DemonstrationStory, demonstration_report, shown_frame, track_figure
+from neuralgrasps.report.demonstration_page import (
+    DemonstrationStory,
+    demonstration_report,
+    shown_frame,
+    shown_order,
+    track_figure,
+)
 from neuralgrasps.report.demonstration_page import drawn_frames as frames_of
 from neuralgrasps.report.demonstration_pictures import strip_indices, upright
 from neuralgrasps.report.demonstration_stages import STAGES, TITLES, demonstration_stages
@@ -143,6 +149,12 @@ def test_the_chart_leaves_gaps_where_no_hand_was_found():
     assert start[0] < start[1]  # farther away is higher up
     marker = next(e for e in chart.iter() if e.get("class") == "moment")
     assert marker.get("x1") == (lines[1].get("points") or "").split()[0].split(",")[0]
+
+
+def test_the_grasp_that_was_carried_out_has_a_card():
+    assert shown_order(3, None) == [0, 1, 2]
+    assert shown_order(40, 2) == [0, 1, 2, 3, 4, 5, 6]
+    assert shown_order(40, 31) == [0, 1, 2, 3, 4, 5, 31]
 
 
 @pytest.mark.parametrize("up", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.3, -0.5, 0.2)])

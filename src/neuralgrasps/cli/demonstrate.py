@@ -32,6 +32,7 @@ Rgbd = Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")]
 _NOTHING_GIVEN = ShownSource()
 _RECORD_EVERY_S = 0.04
 _RETRIES = 1
+_LEAST_TRIALS = 24  # in physics, however few grasps are wanted
 
 
 def demonstrate(
@@ -43,7 +44,7 @@ def demonstrate(
     arm: OptionalText = None,
     execute: bool = False,
     source: ShownOptions = _NOTHING_GIVEN,
-    count: int = 5,
+    count: int = 40,
     method: Literal["both", "retrieve", "generate"] = "both",
     only_region: Regions = (),
     keep_free: Regions = (),
@@ -71,7 +72,7 @@ def demonstrate(
         arm: fetch, panda, or a URDF file, to carry the hand with --execute; default the hand's own.
         execute: the robot looks, plans, and lifts the object in simulation.
         source: what was filmed.
-        count: grasps wanted.
+        count: grasps wanted; with more of them it is likelier that the robot reaches one.
         method: retrieve: known grasps; generate: new ones, searched; or both.
         only_region: the robot touches the object only there; a REGION is as in `transfer`.
         keep_free: no part of the robot's hand comes near the object there.
@@ -84,7 +85,7 @@ def demonstrate(
         video: film of the execution, .mp4.
         out: folder for numbers (JSON), grasps, pictures, and the robot's plan (YAML).
     """
-    from neuralgrasps.apply.transfer import TransferConfig
+    from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.cli.demonstrate_files import write_demonstrated
     from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
     from neuralgrasps.report.demonstration_page import DemonstrationStory
@@ -99,7 +100,7 @@ def demonstrate(
     rules = _rules(obj, only_region, keep_free, approach)
     shown = read_shown(terminal, rgbd, source)
     known = _known(terminal, object_name, obj, robot_hand, grasps)
-    config = TransferConfig(count=count, method=method)
+    config = replace(DemonstrateConfig().transfer, count=count, trials=max(count, _LEAST_TRIALS), method=method)
     demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
     if demo.stage == "transfer" and rules is not None:
         demo = replace(demo, reason=_reason_with(terminal, demo, obj, robot_hand, known, config, rules))

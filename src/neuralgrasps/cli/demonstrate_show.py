@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from neuralgrasps.apply.demonstrate import Demonstration
     from neuralgrasps.report.demonstration_page import DemonstrationStory
 
-_FOUND_AT = 0.5  # share of its pixels that show the object
+_ROWS = 6  # grasps that are printed
 
 
 def demonstration_record(story: DemonstrationStory, kept: Sequence[int]) -> dict[str, Any]:
@@ -147,9 +147,11 @@ def show_demonstration(terminal: Terminal, record: Mapping[str, Any]) -> None:
             ("rank", "similarity", "from", "epsilon", "held", "why"),
             [
                 (g["rank"], f"{g['similarity']:.3f}", g["origin"], f"{g['epsilon']:.3f}", g["held"], g["why"])
-                for g in transfer["grasps"]
+                for g in transfer["grasps"][:_ROWS]
             ],
         )
+        if len(transfer["grasps"]) > _ROWS:
+            terminal.say(f"... and {len(transfer['grasps']) - _ROWS} more.")
         terminal.say("Similarity of the contact maps: 1 = same, 0 = as the farthest of the known grasps.")
     if person is not None:
         terminal.notes(person["doubts"], title="Doubts about the hand:")

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neuralgrasps.apply.demonstrate import Demonstration
+from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.evaluate.demonstrate_execute import executed_place
 from neuralgrasps.evaluate.execute import Trial
 from neuralgrasps.hands.hand import Hand
@@ -41,6 +42,7 @@ _TRANSFER_TEXT = (
     "Framed, how the person touches the object; beside it the robot's grasps that touch it most alike, best first, "
     "each tried in physics. Similarity is that of the contact maps: 1 is the same, 0 the most different pair."
 )
+_GRASPS_SHOWN = 7  # beside the person's own
 _QUERY_TEXT = "The fitted hand; how it touches the object is what the others are compared with."
 _STAGES_TEXT = "From the video to the lifted object; a stage that fails says why, and those after it are not reached."
 
@@ -198,16 +200,33 @@ def shown_transfer(story: DemonstrationStory) -> TransferList:
             result, grasps=result.nearest, similarity=np.array([result.nearest_similarity]), origin=("the nearest",),
             reasons=("it touches the object most alike, and does not hold",),
         )  # fmt: skip
+    place = None if story.trial is None else executed_place(story.trial, demo)
+    order = shown_order(len(result.grasps), place)
+    at = None if place is None else order.index(place)
     shown = transfer_list(
-        result, demo.query, story.hand, story.obj,
+        _picked(result, order), demo.query, story.hand, story.obj,
         title="shown by the person", text=result.reason or _QUERY_TEXT,
         grasp=(as_person(demo.human), demo.X_OH, demo.q),
     )  # fmt: skip
-    place = None if story.trial is None else executed_place(story.trial, demo)
-    grasps = [
-        replace(g, reason=f"Carried out: {g.reason}") if k == place else g for k, g in enumerate(shown.grasps)
-    ]  # fmt: skip
-    return replace(shown, grasps=tuple(grasps))
+    if at is None:
+        return shown
+    done = replace(shown.grasps[at], reason=f"Carried out, no. {order[at] + 1}: {shown.grasps[at].reason}")
+    return replace(shown, grasps=(*shown.grasps[:at], done, *shown.grasps[at + 1 :]))
+
+
+def shown_order(count: int, place: int | None) -> list[int]:
+    """Places of the grasps that get a card, of `count`: the first ones, and the one that was carried out."""
+    order = list(range(min(_GRASPS_SHOWN, count)))
+    return order if place is None or place in order else [*order[:-1], place]
+
+
+def _picked(result: TransferResult, indices: Sequence[int]) -> TransferResult:
+    """Some grasps of a result, in this order."""
+    chosen = np.asarray(indices, int)
+    return replace(
+        result, grasps=result.grasps[chosen], similarity=result.similarity[chosen],
+        origin=tuple(result.origin[i] for i in indices), reasons=tuple(result.reasons[i] for i in indices),
+    )  # fmt: skip
 
 
 def shown_frame(seen: Demonstrated, demo: Demonstration) -> int:
