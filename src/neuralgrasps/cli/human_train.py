@@ -48,7 +48,7 @@ def human_train(
         images: to learn from; the default is what the shipped weights saw.
         seed: of the start weights and of the images.
         threads: of the training, drawing included.
-        start: of the detector: weights to start from.
+        start: weights to start from: of a detector, for it; of the joints, for side (the shipped ones by default).
         bank: file of hands closed on random solids, to draw; made first (3 minutes) where it does not exist, beside
             `out` when not given.
     """
@@ -57,8 +57,8 @@ def human_train(
         raise InputError(f"--images is {images}; expected at least 1.")
     if threads < 1:
         raise InputError(f"--threads is {threads}; expected at least 1.")
-    if start is not None and net != "detector":
-        raise InputError("--start belongs to the detector; the other networks start from random weights.")
+    if start is not None and net == "joints":
+        raise InputError("--start belongs to the detector and to side; joints start from random weights.")
     check_writable(out)
     make_parent(out)
     grasps = _bank(terminal, bank or out.with_name("hands.bank"))
@@ -128,14 +128,17 @@ def _train_detector(terminal: Terminal, plan: _Plan) -> dict[str, float]:
 
 
 def _train_side(terminal: Terminal, plan: _Plan) -> dict[str, float]:
-    from neuralgrasps.human.net_files import save_weights
+    from neuralgrasps.human.joint_net import JointNet
+    from neuralgrasps.human.joint_reader import WEIGHTS
+    from neuralgrasps.human.net_files import read_weights, save_weights
     from neuralgrasps.human.scene_kit import scene_kit
     from neuralgrasps.human.side_train import side_accuracy, side_crops, train_side
 
-    kit = scene_kit(plan.bank)
-    with terminal.progress("training", "steps") as bar:
+    kit, joints = scene_kit(plan.bank), JointNet()
+    read_weights(joints, plan.start or WEIGHTS)
+    with terminal.progress("training", "crops") as bar:
         trained = train_side(
-            kit, **plan.length, seed=plan.seed,
+            kit, joints, **plan.length, seed=plan.seed,
             progress=lambda done, total, loss: bar(done, total, f"loss {loss:.3f}"),
         )  # fmt: skip
     save_weights(trained, plan.out, notes={"seed": str(plan.seed)})

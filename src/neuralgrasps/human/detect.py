@@ -13,7 +13,7 @@ from neuralgrasps.human.crop import BOX_MARGIN, Crop, take_crop
 from neuralgrasps.human.detector_loss import box_overlap
 from neuralgrasps.human.detector_net import Cells, DetectorNet, fuse
 from neuralgrasps.human.detector_view import detector_view
-from neuralgrasps.human.net_files import ASSETS, read_weights
+from neuralgrasps.human.net_files import ASSETS, has_bf16, read_weights
 from neuralgrasps.human.seen import HandBox
 from neuralgrasps.human.side_net import SideNet
 from neuralgrasps.perception.frame import Frame
@@ -50,9 +50,9 @@ class HandDetector:
             side: looks again at each box to tell right from left; without it the detector's own guess is told.
         """
         fuse(net)
-        if side is not None:
-            fuse(side)
-        self._net, self._side = net, side
+        self._net = net
+        self._half = has_bf16()
+        self._side = None if side is None else side.eval().requires_grad_(False)
 
     @staticmethod
     def load(path: str | Path | None = None, *, side: str | Path | None = None) -> HandDetector:
@@ -103,8 +103,9 @@ class HandDetector:
         rows = [row for row, crop in enumerate(crops) if crop is not None]
         if rows and self._side is not None:
             inputs = np.stack([crop.inputs for crop in crops if crop is not None])
-            with torch.inference_mode():
-                right[rows] = torch.sigmoid(self._side(torch.from_numpy(inputs))).numpy()
+            conditions = np.stack([crop.conditions for crop in crops if crop is not None])
+            with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=self._half):
+                right[rows] = torch.sigmoid(self._side(torch.from_numpy(inputs), torch.from_numpy(conditions))).numpy()
         return right
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from safetensors import SafetensorError
 from safetensors.numpy import load
 
 from neuralgrasps.errors import InputError
@@ -156,5 +157,5 @@ def load_bank(file: Path) -> GraspBank:
     """
     try:
         return GraspBank(**load(Path(file).read_bytes()))
-    except (OSError, TypeError, ValueError) as error:
+    except (OSError, TypeError, ValueError, SafetensorError) as error:
         raise InputError(f"grasp bank '{file}' cannot be read: {error}. Make it with `make_grasp_bank`.") from error

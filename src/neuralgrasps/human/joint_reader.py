@@ -12,7 +12,7 @@ import torch
 from neuralgrasps.errors import InputError
 from neuralgrasps.human.crop import BOX_MARGIN, DEPTH_UNIT_M, Crop, crop_points, full_mask, mirrored, take_crop
 from neuralgrasps.human.joint_net import JointNet, JointVotes
-from neuralgrasps.human.net_files import ASSETS, read_weights
+from neuralgrasps.human.net_files import ASSETS, has_bf16, read_weights
 from neuralgrasps.human.seen import HandBox, SeenJoints
 from neuralgrasps.human.skeleton import NUM_JOINTS
 from neuralgrasps.perception.frame import Frame
@@ -37,7 +37,7 @@ class JointReader:
             looks: most crops per reading. One is enough where a box is right to a few per cent, as one that comes from
                 the joints of the frame before; then no second is taken.
         """
-        self._half = _has_bf16()
+        self._half = has_bf16()
         net = net.fused()
         self._net = net.bfloat16() if self._half else net
         self._looks = looks
@@ -152,8 +152,3 @@ def _nothing_seen(box: HandBox) -> SeenJoints:
         points_C=np.full((NUM_JOINTS, 3), np.nan), weight=np.zeros(NUM_JOINTS), mask=None, side=box.side,
         source=_SOURCE,
     )  # fmt: skip
-
-
-def _has_bf16() -> bool:
-    """Whether this processor computes in bfloat16; where it does not, that is slower than float32."""
-    return bool(torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported())

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import torch
 from torch import nn
 
 from neuralgrasps.errors import DataFormatError, InputError
@@ -41,3 +42,8 @@ def read_weights(net: nn.Module, file: str | Path) -> None:
         net.load_state_dict({name: value.float() for name, value in tensors.items()})
     except RuntimeError as error:
         raise DataFormatError(f"'{file}' holds no weights of this network: {error}.") from error
+
+
+def has_bf16() -> bool:
+    """Whether this processor computes in bfloat16; where it does not, that is slower than float32."""
+    return bool(torch.cpu._is_amx_tile_supported() or torch.cpu._is_avx512_bf16_supported())
