@@ -7,12 +7,19 @@ import pytest
 import torch
 
 from neuralgrasps.errors import DataFormatError, InputError
-from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.geometry.camera import Intrinsics, project
+from neuralgrasps.hands.surface import hand_mesh
+from neuralgrasps.hands.variants import scaled_hand
 from neuralgrasps.human.detect import HandDetector, one_per_hand
+from neuralgrasps.human.detector_loss import box_overlap
 from neuralgrasps.human.detector_net import DetectorNet
 from neuralgrasps.human.detector_view import FOCAL_PX, PATCH, detector_view
 from neuralgrasps.human.net_files import save_weights
+from neuralgrasps.human.skeleton import human_hand
+from neuralgrasps.perception.camera_file import CameraNumbers
 from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.frame_files import read_frames
+from tests.human.conftest import CAMERA, SCALE, STILL_FROM
 
 
 def _camera(width: int, height: int, focal: float) -> Intrinsics:
@@ -85,3 +92,26 @@ def test_thresholds_are_shares() -> None:
     frame = Frame(np.full((48, 64), 0.8), _camera(64, 48, 60.0))
     with pytest.raises(InputError, match="0 to 1"):
         HandDetector.load().find(frame, threshold=50)
+
+
+def test_the_shipped_detector_finds_a_hand_that_grasps(grasp_video) -> None:
+    """Boxes of the frames in which the hand keeps still, against the hand's mesh."""
+    detector, hand = HandDetector.load(), scaled_hand(human_hand(), SCALE)
+    overlaps, sides = [], []
+    for k in range(STILL_FROM, len(grasp_video.frames), 3):
+        vertices = hand_mesh(hand, grasp_video.q[k], segments=8).vertices
+        uv = project(vertices @ grasp_video.X_CH[k, :3, :3].T + grasp_video.X_CH[k, :3, 3], CAMERA)
+        found = detector.find(grasp_video.frames[k])
+        if found:
+            box = torch.tensor([found[0].u_min, found[0].v_min, found[0].u_max, found[0].v_max])
+            overlaps.append(float(box_overlap(box, torch.from_numpy(np.r_[uv.min(axis=0), uv.max(axis=0)]).float())[0]))
+            sides.append(found[0].side_score if found[0].side == "right" else 1.0 - found[0].side_score)
+    assert len(overlaps) >= 4 and np.median(overlaps) > 0.55
+    assert np.mean(sides) > 0.5
+
+
+def test_real_frames_without_a_hand_have_none(assets) -> None:
+    camera = CameraNumbers(fx=1066.778, fy=1067.487, cx=312.987, cy=241.311)
+    detector = HandDetector.load()
+    for frame in read_frames(assets / "rgbd_ycb", intrinsics=camera, depth_scale=10000):
+        assert detector.find(frame, threshold=0.65) == []

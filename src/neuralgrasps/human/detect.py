@@ -64,8 +64,6 @@ class HandDetector:
         """
         net, side_net = DetectorNet(), SideNet()
         read_weights(net, WEIGHTS if path is None else path)
-        if side is None and not SIDE_WEIGHTS.is_file():
-            return HandDetector(net)
         read_weights(side_net, SIDE_WEIGHTS if side is None else side)
         return HandDetector(net, side=side_net)
 
