@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from neuralgrasps.cli.bench_execute import execute_objects
+from neuralgrasps.cli.bench_library import paper_objects
 from neuralgrasps.evaluate import execute_bench
 from neuralgrasps.evaluate.execute_figures import FIGURES
 from neuralgrasps.geometry.primitives import box_mesh
@@ -46,5 +46,5 @@ def test_wrong_options_are_refused(ng: Call) -> None:
 
 
 def test_which_objects_are_picked() -> None:
-    assert execute_objects(()) == tuple(STAND_INS)  # no scans were imported into the home of the tests
-    assert execute_objects(("gelatin_box", "pudding_box")) == ("gelatin_box", "pudding_box")
+    assert paper_objects(()) == tuple(STAND_INS)  # no scans were imported into the home of the tests
+    assert paper_objects(("gelatin_box", "pudding_box")) == ("gelatin_box", "pudding_box")

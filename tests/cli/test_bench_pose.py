@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from neuralgrasps.cli import bench_pose
-from neuralgrasps.cli.bench_pose import OTHER_SCANS, library_of, pose_objects
+from neuralgrasps.cli.bench_library import library_of
+from neuralgrasps.cli.bench_pose import OTHER_SCANS, pose_objects
 from neuralgrasps.evaluate.pose_bench_figures import expected_figures
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.objects.builtin import STAND_INS

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from neuralgrasps.cli.bench_execute import execute_objects
-from neuralgrasps.cli.bench_pose import library_of
-from neuralgrasps.cli.models import open_objects, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.bench_library import open_library, paper_objects
 from neuralgrasps.cli.terminal import Terminal
 
 _NOTES = {
@@ -53,12 +51,8 @@ def bench_demonstrate(
     config = replace(QUICK if quick else DemonstrateBenchConfig(), seed=seed)
     if count is not None:
         config = replace(config, videos=count)
-    sources = execute_objects(objects)
-    with terminal.progress("reading objects"):
-        models = open_objects(sources)
-    warn_of_damage(terminal, models.values())
-    warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
-    library = library_of(sources, models)
+    sources = paper_objects(objects)
+    library, models = open_library(terminal, sources)
     with terminal.progress("demonstrations", "tasks") as bar:
         bench = measure(library, config=config, workers=workers, progress=bar)
     figures, tables = demonstrate_figures(bench), demonstrate_tables(bench)

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
-from neuralgrasps.cli.bench_pose import library_of
-from neuralgrasps.cli.models import open_objects, source_text, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.bench_library import open_library, paper_objects
 from neuralgrasps.cli.terminal import Terminal
 
 _NOTES = {
@@ -61,12 +60,8 @@ def bench_execute(
     config = replace(QUICK if quick else ExecuteBenchConfig(), seed=seed)
     if count is not None:
         config = replace(config, scenes=count)
-    sources = execute_objects(objects)
-    with terminal.progress("reading objects"):
-        models = open_objects(sources)
-    warn_of_damage(terminal, models.values())
-    warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
-    library = library_of(sources, models)
+    sources = paper_objects(objects)
+    library, models = open_library(terminal, sources)
     with terminal.progress("execute", "tasks") as bar:
         bench = measure(library, config=config, workers=workers, progress=bar)
     figures, tables = execute_figures(bench), execute_tables(bench)
@@ -92,20 +87,6 @@ def bench_execute(
         "table": tables,
         "failures": failures,
     }
-
-
-def execute_objects(given: Sequence[str]) -> tuple[str, ...]:
-    """Sources of the objects: as given, of a folder that holds the paper's seven just these; else scans or built-in."""
-    from neuralgrasps.objects.builtin import STAND_INS
-    from neuralgrasps.objects.store import imported_names
-    from neuralgrasps.objects.zoo import OBJECT_GROUPS, object_sources
-
-    seven = OBJECT_GROUPS["ycb7"]
-    if not given:
-        return tuple(seven) if set(seven) <= set(imported_names()) else tuple(STAND_INS)
-    sources = tuple(source_text(source) for source in object_sources(given))
-    paper = tuple(s for s in sources if any(name in s for name in seven))
-    return paper if len(paper) == len(seven) else sources
 
 
 def _show(terminal: Terminal, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:

@@ -7,12 +7,12 @@ from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
-from neuralgrasps.cli.models import open_objects, source_text, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.bench_library import open_library
+from neuralgrasps.cli.models import source_text
 from neuralgrasps.cli.terminal import Terminal
 
 if TYPE_CHECKING:
-    from neuralgrasps.evaluate.pose_bench_methods import Library
-    from neuralgrasps.objects.object_model import ObjectModel
+    pass
 
 OTHER_SCANS = (
     "002_master_chef_can", "004_sugar_box", "007_tuna_fish_can", "036_wood_block", "051_large_clamp", "061_foam_brick",
@@ -76,11 +76,7 @@ def bench_pose(
     if count is not None:
         config = replace(config, scenes=count)
     sources = pose_objects(objects)
-    with terminal.progress("reading objects"):
-        models = open_objects(sources)
-    warn_of_damage(terminal, models.values())
-    warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
-    library = library_of(sources, models)
+    library, models = open_library(terminal, sources)
     with terminal.progress("pose", "tasks") as bar:
         bench = measure(library, config=config, workers=workers, progress=bar)
     figures, table = pose_figures(bench), pose_table(bench)
@@ -113,19 +109,6 @@ def pose_objects(given: Sequence[str]) -> tuple[str, ...]:
     if not set(seven) <= here:
         return tuple(STAND_INS)
     return tuple(sorted({*seven, *here.intersection(OTHER_SCANS)}))
-
-
-def library_of(sources: Sequence[str], models: Mapping[str, ObjectModel]) -> Library:
-    """The objects with the shipped run that has grasps of some of them; without a run when none has."""
-    from neuralgrasps.evaluate.pose_bench_methods import Library
-    from neuralgrasps.model.run_notes import read_notes, run_folder, shipped_runs
-
-    by_name = dict(zip(models, sources, strict=True))
-    for run in shipped_runs():
-        names = read_notes(run_folder(run)).objects
-        if set(names) & set(by_name):
-            return Library(sources=tuple(sources), run=run, run_sources=tuple(by_name.get(n, n) for n in names))
-    return Library(sources=tuple(sources))
 
 
 def _packages() -> dict[str, str | None]:

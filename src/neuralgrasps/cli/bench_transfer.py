@@ -47,7 +47,7 @@ def bench_transfer(
     """
     from dataclasses import asdict
 
-    from neuralgrasps.cli.bench_execute import execute_objects
+    from neuralgrasps.cli.bench_library import paper_objects
     from neuralgrasps.cli.evaluate import open_run
     from neuralgrasps.cli.evaluate_run import grasps_of
     from neuralgrasps.cli.models import open_objects
@@ -58,7 +58,7 @@ def bench_transfer(
     from neuralgrasps.model.run_notes import read_notes, run_folder, shipped_runs
     from neuralgrasps.parallel import available_cpus
 
-    sources = execute_objects(objects)
+    sources = paper_objects(objects)
     with terminal.progress("reading the run"):
         models = open_objects(sources)
         names = {run: set(read_notes(run_folder(run)).objects) & set(models) for run in shipped_runs()}

@@ -189,7 +189,7 @@ def _rules(
 
 def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Path | None) -> GraspSet | None:
     """Grasps of the file, else of a shipped run; None: they are made on the spot."""
-    from neuralgrasps.cli.bench_pose import library_of
+    from neuralgrasps.cli.bench_library import library_of
     from neuralgrasps.cli.transfer_query import Known
     from neuralgrasps.errors import NeuralGraspsError
     from neuralgrasps.evaluate.pose_bench_methods import open_library_run

@@ -147,8 +147,7 @@ def _default_hand(arm: str) -> str:
 
 def _open(terminal: Terminal, objects: ObjectNames, clutter: int) -> tuple[Library, dict[str, ObjectModel]]:
     """The library, its first objects the ones asked for; the rest may stand around them."""
-    from neuralgrasps.cli.bench_execute import execute_objects
-    from neuralgrasps.cli.bench_pose import library_of
+    from neuralgrasps.cli.bench_library import library_of, paper_objects
     from neuralgrasps.objects.zoo import object_sources
 
     sources = tuple(source_text(source) for source in object_sources(objects))
@@ -157,7 +156,7 @@ def _open(terminal: Terminal, objects: ObjectNames, clutter: int) -> tuple[Libra
     warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
     everything = dict(models)
     if clutter:
-        for source, model in zip(execute_objects(()), open_objects(execute_objects(())).values(), strict=True):
+        for source, model in zip(paper_objects(()), open_objects(paper_objects(())).values(), strict=True):
             if model.name not in everything:
                 everything[model.name], sources = model, (*sources, source)
         if clutter > len(everything) - 1:
