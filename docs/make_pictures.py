@@ -1,30 +1,44 @@
 """Draw the README's picture from a finished demo: python docs/make_pictures.py out docs/images.
 
 Also the previews of the built-in arms: python docs/make_pictures.py arms src/neuralgrasps/assets/arms,
-and the picture of picks: python docs/make_pictures.py picks docs/images.
+the picture of picks: python docs/make_pictures.py picks docs/images,
+and the moving one of a demonstration: python docs/make_pictures.py demonstrate docs/images.
 """
 
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
 from neuralgrasps import ExecuteConfig, draw_scene, execute_trial, load_hand, load_object
+from neuralgrasps.apply.demonstrate import DemonstrateConfig, demonstrate
 from neuralgrasps.arms.mount import mount
 from neuralgrasps.arms.zoo import load_arm
+from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
 from neuralgrasps.grasps.grasp_io import load_grasps
+from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
+from neuralgrasps.human.look import LookConfig
+from neuralgrasps.human.watch import WatchConfig
 from neuralgrasps.report.arm_figure import render_arm
+from neuralgrasps.report.demonstration_page import drawn_frames
+from neuralgrasps.report.demonstration_pictures import Demonstrated
 from neuralgrasps.report.figures import render_grasp
-from neuralgrasps.report.film import open_film
+from neuralgrasps.report.film import FilmConfig, film_indices, open_film
+from neuralgrasps.report.hand_overlay import focus_window, render_hand_overlay
 from neuralgrasps.report.trial_pictures import PICTURES, strip_pictures
+from neuralgrasps.report.video import animation
 from neuralgrasps.report.views import view_direction
 
 HANDS = ("human", "allegro", "barrett", "panda", "fetch")
 CHOICES = {"mustard_bottle": (2, 0, 0, 2, 0), "tomato_soup_can": (0, 1, 0, 0, 0), "cracker_box": (2, 0, 0, 1, 0)}
 SIZE = (360, 280)
+HALF, FPS, REST = (420, 315), 8, 4  # the moving picture: size of each half, frames a second, frames that it rests
+NEAR = 10  # its left half shows where the hand is from so many frames before the grasp on
+SHOWN = ("mustard_bottle", 1)  # object and seed of the demonstration
 PICKS = (("fetch", "fetch", "mustard_bottle", 14), ("panda", "allegro", "potted_meat_can", 3))
 
 
@@ -63,6 +77,43 @@ def picks() -> Image.Image:
     return Image.fromarray(np.concatenate(rows, axis=0))
 
 
+def demonstration() -> bytes:
+    """A person's grasp with the hand that was fitted to it, then the robot's, side by side and one after the other."""
+    name, seed = SHOWN
+    obj, robot = load_object(name), mount(load_arm("fetch"), load_hand("fetch"))
+    video = DemonstrationConfig(side="right", still_frames=(6, 8), lift=True, wall=False)
+    frames = record_demonstration(obj, seed=seed, config=video).frames
+    every = DemonstrateConfig(watch=WatchConfig(look=LookConfig(frames=len(frames))))
+    demo = demonstrate(frames, obj, robot.hand, side="right", config=every, seed=seed)
+    trial = execute_demonstration(demo, obj, robot, config=ExecuteConfig(record_every_s=0.04), seed=seed)
+    film = open_film(trial, robot)
+    seen = _seen(drawn_frames(frames, demo, obj), HALF)
+    lifted = [_sized(film.moment(k), HALF) for k in film_indices(trial, FilmConfig(speed=3.0, fps=FPS))]
+    first, second = [(left, lifted[0]) for left in seen], [(seen[-1], right) for right in lifted]
+    pairs = [*first, *first[-1:] * REST, *second, *second[-1:] * 2 * REST]
+    pictures = [np.concatenate(pair, axis=1) for pair in pairs]
+    return animation(pictures, fps=FPS, size=(2 * HALF[0], HALF[1]), quality=76)
+
+
+def _seen(shown: Demonstrated, size: tuple[int, int]) -> list[np.ndarray]:
+    """The frames of a video with the fitted hand and the object's lines over them."""
+    near = shown.layers[max(shown.moment - NEAR, 0) :]
+    window = focus_window([one for one in near if one.fitted is not None], shown.frames[0].intrinsics)
+    pictures = []
+    for index, (frame, layers) in enumerate(zip(shown.frames, shown.layers, strict=True)):
+        # the object is followed for as long as it stands
+        own = replace(layers, box=None, joints=None, mesh=layers.mesh if index <= shown.moment else None)
+        drawn = render_hand_overlay(
+            frame.colour, own, frame.intrinsics, depth=frame.depth, window=window, scale=2, labels=False
+        )  # fmt: skip
+        pictures.append(_sized(drawn, size))
+    return pictures
+
+
+def _sized(picture: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+
+
 def on_paper(picture: np.ndarray) -> Image.Image:
     """The picture (height, width, 4) uint8 RGBA on the paper of the pages."""
     image = Image.fromarray(picture)
@@ -79,5 +130,8 @@ if __name__ == "__main__":
         sys.exit()
     if source.name == "picks":
         picks().save(target / "execute.webp", quality=86, method=6)
+        sys.exit()
+    if source.name == "demonstrate":
+        (target / "demonstrate.webp").write_bytes(demonstration())
         sys.exit()
     hero(source).save(target / "hero.webp", quality=88, method=6)
