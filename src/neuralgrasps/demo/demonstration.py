@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from neuralgrasps.apply.demonstrate import DemonstrateConfig, Demonstration, demonstrate
 from neuralgrasps.apply.transfer import TransferConfig
 from neuralgrasps.demo.execution import ARMED, lift_figure
+from neuralgrasps.errors import NeuralGraspsError
 from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
 from neuralgrasps.evaluate.execute import ExecuteConfig
 from neuralgrasps.evaluate.execute_bench_trials import robot_of
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.human.demonstration import DemonstrationConfig, NoPersonGraspError, record_demonstration
+from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
 from neuralgrasps.human.look import LookConfig
 from neuralgrasps.human.watch import WatchConfig
 from neuralgrasps.model.train_state import torch_threads
@@ -26,7 +27,7 @@ from neuralgrasps.report.sections import pretty_name
 TITLE = "Shown by a hand"
 _VIDEO = DemonstrationConfig(side="right", still_frames=(6, 8), lift=True)
 _WATCH = WatchConfig(look=LookConfig(frames=100))  # every frame, for the film
-_SHOWN = 3  # grasps of the robot
+_GRASPS = 16  # of the robot, so that it reaches one of them
 _EVERY_S = 0.04
 _HOW = (
     "The video is simulated: a hand of a person's size makes a grasp that held in physics, seen with the noise of a "
@@ -99,9 +100,9 @@ def _nothing(reason: str) -> ShownByHand:
 def _watched(obj: ObjectModel, hand: Hand, known: GraspSet, seed: int) -> _Watched:
     try:
         frames = record_demonstration(obj, seed=seed, config=_VIDEO).frames
-    except NoPersonGraspError as error:
+    except NeuralGraspsError as error:  # most often no grasp of a person's; the demo goes on without
         return _Watched(obj=obj, reason=str(error))
-    config = DemonstrateConfig(watch=_WATCH, transfer=TransferConfig(count=_SHOWN))
+    config = DemonstrateConfig(watch=_WATCH, transfer=TransferConfig(count=_GRASPS))
     with torch_threads(1):  # as in a worker: sums depend on the number
         demo = demonstrate(frames, obj, hand, side=_VIDEO.side, known=known, config=config, seed=seed)
     return _Watched(obj=obj, reason=demo.reason if demo.stage else "", frames=frames, demo=demo)
@@ -111,7 +112,8 @@ def _carried_out(watched: _Watched, hand: Hand, seed: int, *, passed: Sequence[_
     """Lifted where the hand has an arm, and drawn. `passed`: what is not shown."""
     demo, obj = watched.demo, watched.obj
     assert demo is not None
-    robot = robot_of(hand.name, hand.name) if hand.name in ARMED else None
+    on_table = demo.table_O is not None  # else there is nowhere to put it before a robot
+    robot = robot_of(hand.name, hand.name) if hand.name in ARMED and on_table else None
     trial, card = None, ()
     if robot is not None and not demo.stage:
         config = ExecuteConfig(retries=1, record_every_s=_EVERY_S)
