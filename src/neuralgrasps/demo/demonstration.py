@@ -10,7 +10,7 @@ from neuralgrasps.apply.transfer import TransferConfig
 from neuralgrasps.demo.execution import ARMED, lift_figure
 from neuralgrasps.errors import NeuralGraspsError
 from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
-from neuralgrasps.evaluate.execute import ExecuteConfig
+from neuralgrasps.evaluate.execute import ExecuteConfig, Trial
 from neuralgrasps.evaluate.execute_bench_trials import robot_of
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
@@ -20,7 +20,7 @@ from neuralgrasps.human.watch import WatchConfig
 from neuralgrasps.model.train_state import torch_threads
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.report.content import DemoReport
+from neuralgrasps.report.content import DemoReport, ExecutionFigure
 from neuralgrasps.report.demonstration_page import DemonstrationStory, demonstration_report
 from neuralgrasps.report.sections import pretty_name
 
@@ -114,7 +114,8 @@ def _carried_out(watched: _Watched, hand: Hand, seed: int, *, passed: Sequence[_
     assert demo is not None
     on_table = demo.table_O is not None  # else there is nowhere to put it before a robot
     robot = robot_of(hand.name, hand.name) if hand.name in ARMED and on_table else None
-    trial, card = None, ()
+    trial: Trial | None = None
+    card: tuple[ExecutionFigure, ...] = ()
     if robot is not None and not demo.stage:
         config = ExecuteConfig(retries=1, record_every_s=_EVERY_S)
         trial = execute_demonstration(demo, obj, robot, config=config, seed=seed)
