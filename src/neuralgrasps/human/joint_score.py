@@ -18,8 +18,8 @@ class JointScore:
     """Mean distances over joints, mm, on hands that hold something and are seen to more than VISIBLE.
 
     Attributes:
-        absolute_mm: in the camera frame. root_relative_mm, procrustes_mm: see `joint_errors`. all_root_relative_mm: over
-            all hands, empty and hidden ones too.
+        absolute_mm: in the camera frame. root_relative_mm, procrustes_mm: see `joint_errors`. all_root_relative_mm:
+            over all hands, empty and hidden ones too.
         mask_iou: of the mask, where anything was measured.
     """
 
