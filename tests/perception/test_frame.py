@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.camera import Intrinsics, back_project, look_at
 from neuralgrasps.geometry.plane import horizontal_plane
-from neuralgrasps.perception.frame import Frame, checked_pose
+from neuralgrasps.perception.frame import Frame, camera_poses, checked_pose
 
 CAMERA = Intrinsics(90.0, 95.0, 31.0, 22.0, 64, 48)
 DEPTH = np.full((48, 64), 0.8)
@@ -105,3 +105,32 @@ def test_an_upside_down_pose_is_allowed_and_a_rounded_one_made_rigid():
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(R, X[:3, :3], atol=1e-4)
     np.testing.assert_array_equal(checked_pose(GOOD[:3], "pose")[3], [0, 0, 0, 1])
+
+
+def _poses(*poses):
+    return [Frame(DEPTH, CAMERA, X_WC=X, name=f"{n:03d}") for n, X in enumerate(poses)]
+
+
+def test_cameras_are_at_rest_unless_they_say_otherwise():
+    np.testing.assert_array_equal(camera_poses(_poses(None, None)), np.tile(np.eye(4), (2, 1, 1)))
+    moved = _changed(e03=GOOD[0, 3] + 0.1)
+    np.testing.assert_array_equal(
+        camera_poses(_poses(GOOD, moved)), np.stack([_poses(X)[0].X_WC for X in (GOOD, moved)])
+    )
+    hardly = _changed(e03=GOOD[0, 3] + 5e-4)
+    np.testing.assert_allclose(camera_poses(_poses(None, GOOD, hardly, None)), np.tile(GOOD, (4, 1, 1)), atol=1e-12)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 0.5])
+def test_a_moving_camera_must_say_where_it_is_in_every_frame(turn_deg):
+    moved = GOOD.copy()
+    if turn_deg:
+        moved[:3, :3] = Rotation.from_rotvec([0.0, np.deg2rad(turn_deg), 0.0]).as_matrix() @ GOOD[:3, :3]
+    else:
+        moved[0, 3] += 0.003
+    frames = _poses(GOOD, None, moved, None)
+    assert len(camera_poses([frames[0], frames[2]])) == 2
+    with pytest.raises(InputError, match=r"2 of 4 frames have no camera pose X_WC: 1 \('001'\), 3 \('003'\)\. Leave"):
+        camera_poses(frames)
+    with pytest.raises(InputError, match=r"\('006'\) and 3 more"):
+        camera_poses(_poses(GOOD, *[None] * 9, moved))

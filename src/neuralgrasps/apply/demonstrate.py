@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from neuralgrasps.apply.demonstrate_checks import depth_trouble
 from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult, transfer
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_grasp
 from neuralgrasps.errors import InputError
@@ -123,11 +124,13 @@ def demonstrate(
         constraints: what further rules grasps out, see `transfer`.
         seed: of all searches.
     Raises:
-        InputError: no frames. What cannot be seen is no error: the result says at which stage it failed, and why.
+        InputError: no frames, or some without the pose of a camera that moves. What cannot be seen is no error: the
+            result says at which stage it failed, and why.
     """
     config = config or DemonstrateConfig()
     if not frames:
         raise InputError("there are no frames to watch; expected at least one.")
+    camera_poses(frames)  # refused at once when the camera moves and some frames do not say where
     if joints is None and detector is None:
         detector, reader = load_hand_eyes(reader)
     clock = _Clock()
@@ -136,7 +139,7 @@ def demonstrate(
     clock("object")
     so_far = replace(so_far, followed=followed, table_O=table_in_object(followed))
     if followed.reason:
-        return replace(so_far, stage="object", reason=followed.reason)
+        return replace(so_far, stage="object", reason=followed.reason + depth_trouble(frames))
     track = watch_hand(
         frames, detector=detector, reader=reader, joints=joints, obj=obj, X_CO=followed.X_CO, side=side,
         table=_first_table(frames, followed), config=config.watch,

@@ -12,6 +12,8 @@ from neuralgrasps.geometry.camera import Intrinsics, pixel_rays
 from neuralgrasps.geometry.plane import Plane
 
 _NEAREST_M, _FARTHEST_M = 0.02, 20.0
+_AT_REST_M, _AT_REST_DEG = 1e-3, 0.1  # a camera that moves less between frames is at rest
+_NAMED = 6  # frames named in a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +62,37 @@ class Frame:
 
 
 def camera_poses(frames: Sequence[Frame]) -> np.ndarray:
-    """(T, 4, 4) the cameras of T frames in the world; identities, a camera at rest, unless all frames say."""
+    """(T, 4, 4) the cameras of T frames in the world; identities, a camera at rest, where no frame says.
+
+    Where only some say, and all the same, the camera is at rest there.
+
+    Raises:
+        InputError: only some frames say, and the camera moves between them.
+    """
     known = [f.X_WC for f in frames if f.X_WC is not None]
-    return np.stack(known) if len(known) == len(frames) else np.tile(np.eye(4), (len(frames), 1, 1))
+    if not known:
+        return np.tile(np.eye(4), (len(frames), 1, 1))
+    poses = np.stack(known)
+    if len(known) == len(frames):
+        return poses
+    shift_m, turn_deg = _largest_motion(poses)
+    if shift_m > _AT_REST_M or turn_deg > _AT_REST_DEG:
+        without = [f"{n} ('{f.name}')" for n, f in enumerate(frames) if f.X_WC is None]
+        named = ", ".join(without[:_NAMED]) + (f" and {len(without) - _NAMED} more" if len(without) > _NAMED else "")
+        raise InputError(
+            f"the camera moves (by {1e3 * shift_m:.0f} mm and {turn_deg:.1f} degrees), but {len(without)} of "
+            f"{len(frames)} frames have no camera pose X_WC: {named}. Leave these frames out, or give their poses."
+        )
+    return np.tile(poses[0], (len(frames), 1, 1))
+
+
+def _largest_motion(X: np.ndarray) -> tuple[float, float]:
+    """How far poses (T, 4, 4) are from the first at most: metres, degrees."""
+    between = np.linalg.inv(X[0]) @ X
+    turn = 2.0 * np.arcsin(
+        np.clip(np.linalg.norm(between[:, :3, :3] - np.eye(3), axis=(1, 2)) / np.sqrt(8.0), 0.0, 1.0)
+    )
+    return float(np.linalg.norm(between[:, :3, 3], axis=1).max()), float(np.rad2deg(turn.max()))
 
 
 def checked_pose(X: np.ndarray, what: str) -> np.ndarray:
