@@ -17,6 +17,7 @@ from neuralgrasps.apply.demonstrate import (
 from neuralgrasps.apply.transfer import TransferConfig
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
@@ -24,6 +25,7 @@ from neuralgrasps.human.joint_errors import root_relative_error
 from neuralgrasps.human.seen import HandBox, SeenJoints
 from neuralgrasps.model.run_notes import run_folder
 from neuralgrasps.objects.zoo import load_object
+from neuralgrasps.perception.object_video import follow_object
 
 FEW = DemonstrateConfig(transfer=TransferConfig(count=4, trials=12))
 
@@ -100,6 +102,39 @@ def test_each_stage_says_why_it_failed(shown, eyes):
     assert none.stage == "transfer" and none.reason != "" and none.query is not None
 
 
+def test_an_object_that_is_lost_before_the_grasp_is_no_error(shown, monkeypatch):
+    obj, frames, truth, known = shown
+    lost_from = truth.still[0] - 3
+
+    def lost(*args, **options):
+        found = follow_object(*args, **options)
+        X_CO = found.X_CO.copy()
+        X_CO[lost_from:] = np.nan
+        return replace(found, X_CO=X_CO, lost_from=lost_from)
+
+    monkeypatch.setattr("neuralgrasps.apply.demonstrate.follow_object", lost)
+    found = demonstrate(frames, obj, load_hand("fetch"), joints=true_joints(truth), known=known, config=FEW)
+    assert found.stage == "grasp" and f"the object was lost from frame {lost_from}, before" in found.reason
+    assert found.track is not None and found.query is None
+
+
+def test_what_is_wrong_with_the_depth_is_said_when_the_object_is_not_found(shown):
+    obj, frames, truth, _ = shown
+    far = [replace(frame, depth=5.0 * frame.depth) for frame in frames[:2]]
+    found = demonstrate(far, obj, load_hand("fetch"), joints=true_joints(truth)[:2], config=FEW)
+    assert found.stage == "object" and "check the depth scale" in found.reason
+    assert found.reason.startswith(found.followed.reason)
+
+
+def test_a_camera_that_moves_without_saying_where_is_refused(shown):
+    obj, frames, *_ = shown
+    moved = np.eye(4)
+    moved[0, 3] = 0.05
+    said = [replace(frames[0], X_WC=np.eye(4)), frames[1], replace(frames[2], X_WC=moved)]
+    with pytest.raises(InputError, match="1 of 3 frames have no camera pose"):
+        demonstrate(said, obj, load_hand("fetch"), joints=[None] * 3)
+
+
 def test_no_frames_is_an_error(shown):
     obj, *_ = shown
     with pytest.raises(InputError, match="no frames"):
@@ -113,6 +148,31 @@ def test_boxes_are_hidden_with_some_room():
     assert not box_mask([], (60, 80)).any()
     far = HandBox(u_min=-90.0, v_min=-90.0, u_max=-60.0, v_max=-60.0, score=1.0, side="right", side_score=1.0)
     assert not box_mask([far], (60, 80)).any()
+
+
+def test_hand_and_forearm_are_hidden_and_the_object_is_not(shown):
+    obj, frames, truth, _ = shown
+    n = truth.grasp_frame
+    seen = true_joints(truth, noise=0.0)[n]
+    rows, columns = np.nonzero(truth.hand_mask[n])
+    box = HandBox(
+        u_min=columns.min(), v_min=rows.min(), u_max=columns.max(), v_max=rows.max(), score=1.0, side="right",
+        side_score=1.0,
+    )  # fmt: skip
+    mask = person_mask(frames[n], box, seen)
+    assert mask[truth.hand_mask[n]].all()
+    points_O = (frames[n].points - truth.X_CO[n, :3, 3]) @ truth.X_CO[n, :3, :3]
+    own = (frames[n].depth > 0) & ~truth.hand_mask[n]
+    own[own] = np.abs(query_grid_numpy(obj.sdf, points_O[own])) < 0.004
+    assert mask[own].mean() < 0.35  # but for a rim beside the fingers
+    arm = seen.points_C[0] + 0.15 * (seen.points_C[0] - seen.points_C[9]) / np.linalg.norm(
+        seen.points_C[0] - seen.points_C[9]
+    )
+    k = frames[n].intrinsics
+    u, v = round(k.fx * arm[0] / arm[2] + k.cx), round(k.fy * arm[1] / arm[2] + k.cy)
+    if 0 <= u < k.width and 0 <= v < k.height:
+        assert mask[v, u]
+    assert (person_mask(frames[n], box, replace(seen, mask=None)) == box_mask([box], mask.shape)).all()
 
 
 def test_the_table_of_a_resting_pose_stands_for_what_was_seen():

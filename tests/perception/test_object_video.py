@@ -85,6 +85,28 @@ def test_an_object_taken_away_is_lost_not_invented(film):
     assert np.isfinite(found.X_CO[:5]).all() and np.isnan(found.X_CO[5:]).all()
 
 
+def test_what_is_found_late_is_followed_back(film):
+    obj, frames, truth = film(ball=False)
+    lump = np.zeros(frames[0].depth.shape, bool)
+    lump[60:130, 90:150] = True
+    late = [*(Frame(np.where(lump, 0.3, f.depth), f.intrinsics) for f in frames[:1]), *frames[11:]]
+    found = follow_object(late, obj, hidden=lambda k: lump if k == 0 else np.zeros_like(lump))
+    assert found.found_in >= 1 and found.reason == ""
+    assert max(_errors(obj, found.X_CO[1:], truth[11:])) < 0.02
+    backwards = follow_object(frames[::-1], obj)  # lifted at first, and put down
+    assert backwards.lost_from is None
+    assert max(_errors(obj, backwards.X_CO, truth[::-1])) < 0.02
+
+
+def test_what_is_not_there_before_the_person_comes_is_not_the_object(film):
+    obj, frames, _ = film(lifted=False, ball=False)
+    empty = Frame(_empty_table(frames[0]), frames[0].intrinsics)
+    nobody = np.zeros(frames[0].depth.shape, bool)
+    found = follow_object([empty, empty, *frames[:3]], obj, hidden=lambda k: nobody if k >= 2 else None)
+    assert found.found_in == -1 and "is not there in frame 0, before the person comes" in found.reason
+    assert np.isnan(found.X_CO).all()
+
+
 def test_a_camera_that_moves_and_knows_it_changes_nothing(film, things, look, standing):
     obj, _, _ = film()
     X_WO = standing(obj, yaw_rad=1.0)

@@ -10,8 +10,10 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
+from scipy import ndimage
 
 from neuralgrasps.apply.demonstrate_checks import depth_trouble
 from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult, transfer
@@ -23,6 +25,7 @@ from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
 from neuralgrasps.human.sighting import HandFinder, JointSource, joints_box
+from neuralgrasps.human.skeleton import JOINT_NAMES, WRIST
 from neuralgrasps.human.watch import HandTrack, WatchConfig, watch_hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame, camera_poses
@@ -31,6 +34,10 @@ from neuralgrasps.planning.resting_plane import nearest_resting_plane
 from neuralgrasps.synthesis.support import Support
 
 _GLANCES = 24  # frames looked at for a hand before the object is looked for
+_KNUCKLE = JOINT_NAMES.index("middle_mcp")
+_MASK_RIM = 4  # pixels round a hand's mask that are its, too
+_ARM_M = (0.02, 0.5, 0.05)  # where a forearm is: so far into the hand, so far behind the wrist, so wide there
+_ARM_SPREAD = 0.5  # wider by so much per metre, for a wrist that bends
 _BOX_ROOM = 0.25  # of a hand's box is left out around it too
 _TABLE_CLEARANCE_M, _RETREAT_M = 0.004, 0.10
 
@@ -135,7 +142,7 @@ def demonstrate(
         detector, reader = load_hand_eyes(reader)
     clock = _Clock()
     so_far = Demonstration(object=obj.name, hand=hand.name, seed=seed, stage="", reason="", seconds=clock.seconds)
-    followed = follow_object(frames, obj, hidden=_hidden(frames, detector, joints), seed=seed)
+    followed = follow_object(frames, obj, hidden=_hidden(frames, detector, reader, joints), seed=seed)
     clock("object")
     so_far = replace(so_far, followed=followed, table_O=table_in_object(followed))
     if followed.reason:
@@ -179,23 +186,48 @@ def grasp_in_object(fitted: FittedHand, X_CO: np.ndarray) -> tuple[Hand, np.ndar
     return fitted.hand, np.asarray(inverse_np(X_CO) @ fitted.X_CH)
 
 
-def _hidden(frames: Sequence[Frame], detector: HandFinder | None, joints: Sequence[SeenJoints | None] | None) -> Hidden:
-    """Pixels that may show the person, by frame: those in a hand's box there, or in the nearest frame looked at."""
+def _hidden(
+    frames: Sequence[Frame],
+    detector: HandFinder | None,
+    reader: JointSource | None,
+    joints: Sequence[SeenJoints | None] | None,
+) -> Hidden:
+    """Pixels that may show the person, by frame: hand and forearm there, or in the nearest frame looked at."""
     numbers = sorted({int(n) for n in np.linspace(0, len(frames) - 1, _GLANCES).round()})
     boxes: dict[int, list[HandBox]] = {}
     for n in numbers:
         if joints is not None:
-            seen = joints[n]
-            box = None if seen is None else joints_box(seen, frames[n].intrinsics)
+            box = None if joints[n] is None else joints_box(joints[n], frames[n].intrinsics)  # type: ignore[arg-type]
             boxes[n] = [] if box is None else [box]
         elif detector is not None:
             boxes[n] = list(detector.find(frames[n]))
 
+    @cache
+    def person(near: int) -> np.ndarray:
+        mask = np.zeros(frames[near].depth.shape, bool)
+        for box in boxes[near]:
+            seen = joints[near] if joints is not None else reader.read(frames[near], box) if reader else None
+            mask |= box_mask([box], mask.shape) if seen is None else person_mask(frames[near], box, seen)
+        return mask
+
     def hidden(frame: int) -> np.ndarray | None:
         near = min(numbers, key=lambda n: (abs(n - frame), n))
-        return box_mask(boxes[near], frames[frame].depth.shape) if boxes[near] else None
+        return person(near) if boxes[near] else None
 
     return hidden
+
+
+def person_mask(frame: Frame, box: HandBox, seen: SeenJoints) -> np.ndarray:
+    """(h, w) bool: the hand's pixels with some around them, and what lies along the forearm; the box without a mask."""
+    wrist, knuckle = seen.points_C[WRIST], seen.points_C[_KNUCKLE]
+    if seen.mask is None or not np.isfinite([wrist, knuckle]).all():
+        return box_mask([box], frame.depth.shape)
+    back = (wrist - knuckle) / max(float(np.linalg.norm(wrist - knuckle)), 1e-9)
+    off = frame.points - wrist
+    along = off @ back
+    across = np.linalg.norm(off - along[..., None] * back, axis=-1)
+    forearm = (along > -_ARM_M[0]) & (along < _ARM_M[1]) & (across < _ARM_M[2] + _ARM_SPREAD * np.maximum(along, 0.0))
+    return np.asarray(ndimage.binary_dilation(seen.mask, iterations=_MASK_RIM) | forearm)
 
 
 def box_mask(boxes: Sequence[HandBox], shape: tuple[int, ...]) -> np.ndarray:

@@ -23,6 +23,7 @@ Hidden = Callable[[int], np.ndarray | None]
 
 _TRIED, _TRIED_HIDDEN = 3, 5  # frames that the object is looked for in: without a person, and with one
 _SURE, _LEAST = 0.9, 0.5  # confidence that ends the search; least that counts as found
+_LEAST_HIDDEN = 0.75  # the same in a frame with a person, who may be taken for the object
 _CLUSTERS, _LEAST_PIXELS = 3, 50
 _AGREE_M = 0.008  # measured so near to the model; farther behind it, the object is not there
 _GONE_SHARE, _LOST_SHARE = 0.08, 0.5  # more of its pixels than at first show what is behind: looked at; lost
@@ -39,7 +40,8 @@ class FollowedObject:
         X_CO: (T, 4, 4) object in each frame's camera; nan where it is lost.
         seen: (T,) share of the pixels it would cover that show its surface there; the rest is hidden, or not measured.
         found_in: the frame it was found in; pose: there. table: the plane it stands on, in that frame's camera.
-        moves_from, lost_from: first frame in which it is no longer where it stood, or nowhere to be found; None: never.
+        moves_from, lost_from: first frame in which it is no longer where it stood at first, or nowhere to be found;
+            None: never.
         reason: why it was not found at all, "" when it was.
     """
 
@@ -77,12 +79,22 @@ def follow_object(
             best = (index, *found)
         if best is not None and best[1].confidence >= _SURE:
             break
-    if best is None or best[1].confidence < _LEAST:
+    if best is None or best[1].confidence < (_LEAST if hidden(best[0]) is None else _LEAST_HIDDEN):
         if best is not None:
             reason = f"what stands there does not look like '{obj.name}': the confidence is {best[1].confidence:.2f}."
+        if all(hidden(k) is not None for k in range(len(frames))):
+            reason += " A person is in every frame, and may hide it: show it for a moment before the hand comes."
         return _nowhere(len(frames), reason, None if best is None else best[1], None if best is None else best[2])
     index, pose, table = best
-    return _follow(frames, obj, index, pose, table, seed)
+    followed = _follow(frames, obj, index, pose, table, seed)
+    clear = [k for k in range(index) if hidden(k) is None]
+    if hidden(index) is not None and clear and np.isnan(followed.X_CO[clear[0]]).any():
+        reason = (
+            f"what looks like '{obj.name}' in frame {index} ({100 * pose.confidence:.0f} % sure) is not there in frame "
+            f"{clear[0]}, before the person comes: it is another thing, or the person."
+        )
+        return _nowhere(len(frames), reason, pose, table)
+    return followed
 
 
 def without(frame: Frame, hidden: np.ndarray | None) -> Frame:
@@ -134,30 +146,51 @@ def _nowhere(count: int, reason: str, pose: PoseResult | None, table: TableFit |
 def _follow(
     frames: Sequence[Frame], obj: ObjectModel, start: int, pose: PoseResult, table: TableFit, seed: int
 ) -> FollowedObject:
-    poses, seen = np.full((len(frames), 4, 4), np.nan), np.zeros(len(frames))
-    X_WC = camera_poses(frames)
-    X_WO = X_WC[start] @ pose.X_CO
-    usual, _ = _compare(frames[start], obj, pose.X_CO)
-    moves_from: int | None = None
-    lost_from: int | None = None
-    for k, frame in enumerate(frames):
-        poses[k] = inverse_np(X_WC[k]) @ X_WO
-        gone, seen[k] = _compare(frame, obj, poses[k])
-        if k <= start or gone <= usual + _GONE_SHARE:
-            continue
-        table_C = table.plane.moved(inverse_np(X_WC[k]) @ X_WC[start])
-        tracked = _tracked(frame, obj, poses[k], table_C, seed)
-        left, agrees = (1.0, 0.0) if tracked is None else _compare(frame, obj, tracked)
-        if tracked is not None and left < gone and _shift(obj, tracked, poses[k]) > _MOVED_M:
-            moves_from = k if moves_from is None else moves_from
-            poses[k], X_WO, gone, seen[k] = tracked, X_WC[k] @ tracked, left, agrees
-        if gone > _LOST_SHARE:
-            lost_from, poses[k] = k, np.nan
-            break
+    """From the frame it was found in onwards, and back to the first."""
+    track = _Track(frames=frames, obj=obj, start=start, table=table, seed=seed)
+    X_WO = track.X_WC[start] @ pose.X_CO
+    moves_from, lost_from = track.walk(range(start, len(frames)), X_WO)
+    came_to, lost_before = track.walk(range(start - 1, -1, -1), X_WO)
+    if came_to is not None:  # it stood elsewhere before
+        moves_from = min(came_to + 1, start)
+    if lost_before is not None and lost_from is None:
+        lost_from = 0
     return FollowedObject(
-        X_CO=poses, seen=seen, found_in=start, pose=pose, table=table, moves_from=moves_from, lost_from=lost_from,
-        reason="",
+        X_CO=track.X_CO, seen=track.seen, found_in=start, pose=pose, table=table, moves_from=moves_from,
+        lost_from=lost_from, reason="",
     )  # fmt: skip
+
+
+class _Track:
+    """Poses of an object in the frames, as far as they are known."""
+
+    def __init__(self, *, frames: Sequence[Frame], obj: ObjectModel, start: int, table: TableFit, seed: int) -> None:
+        self.frames, self.obj, self.seed = frames, obj, seed
+        self.X_WC = camera_poses(frames)
+        self.table_W = table.plane.moved(self.X_WC[start])
+        self.X_CO, self.seen = np.full((len(frames), 4, 4), np.nan), np.zeros(len(frames))
+        self.usual: float | None = None
+
+    def walk(self, numbers: range, X_WO: np.ndarray) -> tuple[int | None, int | None]:
+        """Fill in frames one after the other from a pose; the first in which it has moved, and is lost."""
+        moves: int | None = None
+        for k in numbers:
+            frame, X_CW = self.frames[k], inverse_np(self.X_WC[k])
+            self.X_CO[k] = X_CW @ X_WO
+            gone, self.seen[k] = _compare(frame, self.obj, self.X_CO[k])
+            if self.usual is None:
+                self.usual = gone
+            if gone <= self.usual + _GONE_SHARE:
+                continue
+            tracked = _tracked(frame, self.obj, self.X_CO[k], self.table_W.moved(X_CW), self.seed)
+            left, agrees = (1.0, 0.0) if tracked is None else _compare(frame, self.obj, tracked)
+            if tracked is not None and left < gone and _shift(self.obj, tracked, self.X_CO[k]) > _MOVED_M:
+                moves = k if moves is None else moves
+                self.X_CO[k], X_WO, gone, self.seen[k] = tracked, self.X_WC[k] @ tracked, left, agrees
+            if gone > _LOST_SHARE:
+                self.X_CO[k] = np.nan
+                return moves, k
+        return moves, None
 
 
 def _tracked(view: Frame, obj: ObjectModel, X_CO: np.ndarray, table_C: Plane, seed: int) -> np.ndarray | None:
