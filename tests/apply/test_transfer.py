@@ -208,6 +208,25 @@ def test_wrong_input_is_refused(box_world: BoxWorld, query: TransferQuery, make_
         TransferConfig(protocol="shaky")
 
 
+def test_a_verdict_on_other_numbers_is_none(box_world: BoxWorld, query: TransferQuery) -> None:
+    config = replace(SHORT, method="retrieve", protocol="shake", count=8, apart_m=0.0)
+    usual = box_world.grasps.with_verdict(
+        "shake", validate_grasps(box_world.hand, box_world.obj, box_world.grasps, "shake")
+    )
+    before = transfer(query, box_world.hand, box_world.obj, known=usual, config=config)
+    assert len(before.grasps) == 8 and before.tried == 0
+    heavy = replace(box_world.obj, friction=0.05, mass_kg=3 * box_world.obj.mass_kg)
+    really = validate_grasps(box_world.hand, heavy, usual, "shake").success
+    assert really.sum() < 8
+    after = transfer(query, box_world.hand, heavy, known=usual, config=config)
+    assert after.tried == len(usual) and len(after.grasps) == really.sum()
+    fell = usual.with_verdict("shake", validate_grasps(box_world.hand, heavy, usual, "shake"))
+    fell = replace(fell, verdicts={"shake": fell.verdicts["shake"]})
+    assert not fell.validated.all()
+    again = transfer(query, box_world.hand, box_world.obj, known=fell, config=config)
+    assert len(again.grasps) == again.tried == 8  # those that the heavy one slipped from are tried with this one
+
+
 def test_what_settles_nearer_than_it_looked_still_comes_in_order(
     box_world: BoxWorld, query: TransferQuery, monkeypatch: pytest.MonkeyPatch
 ) -> None:

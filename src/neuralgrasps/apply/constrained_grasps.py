@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from neuralgrasps.apply.constraints import GraspConstraints
 from neuralgrasps.grasps.grasp_set import GraspSet, concatenate
 from neuralgrasps.hands.fingerprint import fingerprint
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
-from neuralgrasps.sim.validate import verdict_parameters
+from neuralgrasps.sim.validate import current_verdicts, not_let_fall
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 ENOUGH = 10  # known grasps that meet the constraints: with fewer, some are made
@@ -68,9 +66,7 @@ def aimed_object(constraints: GraspConstraints) -> ObjectModel | None:
 
 
 def _judged_by(hand: Hand, obj: ObjectModel, grasps: GraspSet, protocol: str) -> GraspSet:
-    """The grasps that hold, with the verdict of one protocol if they have it with the numbers of today."""
-    if grasps.verdicts:
-        grasps = grasps[np.any([v.success for v in grasps.verdicts.values()], axis=0)]
-    verdict = grasps.verdicts.get(protocol)
-    same = verdict is not None and dict(verdict.parameters) == verdict_parameters(hand, obj, protocol)
-    return replace(grasps, verdicts={protocol: verdict} if verdict is not None and same else {}, protocol=protocol)
+    """The grasps that may hold, with the verdict of one protocol if they have it with the numbers of today."""
+    grasps = not_let_fall(hand, obj, grasps)
+    verdicts = {name: v for name, v in current_verdicts(hand, obj, grasps).items() if name == protocol}
+    return replace(grasps, verdicts=verdicts, protocol=protocol)

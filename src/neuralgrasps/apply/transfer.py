@@ -30,7 +30,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
 from neuralgrasps.seeds import child_rng
-from neuralgrasps.sim.validate import check_pair
+from neuralgrasps.sim.validate import check_pair, current_verdicts, not_let_fall
 from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
@@ -93,8 +93,8 @@ def transfer(
     Args:
         query: see `transfer_query`.
         hand: any hand, `obj`: the query's object; neither need be of a training.
-        known: grasps of the hand on the object; those that every protocol tried lets fall are left out. None: some are
-            made on the spot, once, and kept.
+        known: grasps of the hand on the object; those that every protocol tried lets fall are left out; verdicts
+            of other masses, frictions or protocols do not count. None: some are made on the spot, once, and kept.
         support: what the object lies on; hands that meet it are no grasps.
         constraints: what else is asked of the hands.
         seed: of the search, and of grasps made on the spot.
@@ -139,7 +139,7 @@ class _Transfer:
         self.query, self.hand, self.obj, self.config, self.seed = query, hand, obj, config, seed
         self.rules = [rule for rule in rules if rule is not None]
         self.pair = transfer_pair(hand, obj, config.protocol)
-        self.grasps = _held(known)
+        self.grasps = not_let_fall(hand, obj, known)
         self.known = known_maps(self.pair, self.grasps, query.radius_m)
         self.full, self.sparse = target_of(query), target_of(query, self.pair.sparse)
         usual = float(np.median(self.grasps.epsilon)) if len(self.grasps) else 0.0
@@ -186,16 +186,16 @@ class _Transfer:
         return rank_known(self.pair, self.query, self.full, self.known, count=count, turn=turn, allows=allows)
 
     def _add_known(self, ranked: Ranked) -> None:
-        """Those that stay as they are need no trial where they have had one; turned ones are closed and tried again."""
+        """Those that stay as they are need no trial where they have had the same; turned ones are closed and tried."""
         protocol = self.config.protocol
+        current = {n: v for n, v in current_verdicts(self.hand, self.obj, self.grasps).items() if n == protocol}
+        known = replace(self.grasps, verdicts=current, protocol=protocol, config={})
         for i, row in enumerate(ranked.row):
             item = Candidate(
                 "retrieved", int(row), int(ranked.symmetry[i]), ranked.X_OH[i], ranked.q[i], float(ranked.difference[i])
             )
             if item.symmetry == 0:
-                one = self.grasps[int(row)]
-                verdicts = {name: verdict for name, verdict in one.verdicts.items() if name == protocol}
-                item.grasp = replace(one, verdicts=verdicts, protocol=protocol, config={})
+                item.grasp = known[int(row)]
                 item.proven = bool(item.grasp.validated[0])
             self.order.add(item)
 
@@ -265,10 +265,3 @@ class _Transfer:
             nearest=none if nearest is None or nearest.grasp is None else nearest.grasp,
             nearest_similarity=float("nan") if nearest is None else 1.0 - nearest.difference / scale,
         )
-
-
-def _held(known: GraspSet) -> GraspSet:
-    """The known grasps that some protocol says hold; all where none was tried."""
-    if not known.verdicts or len(known) == 0:
-        return known
-    return known[np.any([v.success for v in known.verdicts.values()], axis=0)]

@@ -14,7 +14,7 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.copies import moved_grasps, roll_twins, symmetric_copies
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
 from neuralgrasps.planning.resting_plane import nearest_resting_plane, representative, rounded_plane
-from neuralgrasps.sim.validate import validate_grasps, verdict_parameters
+from neuralgrasps.sim.validate import current_verdicts, validate_grasps, verdict_parameters
 from neuralgrasps.synthesis.select import diverse_order
 from neuralgrasps.synthesis.strength import few_lift, grasp_strengths
 from neuralgrasps.synthesis.support import Support
@@ -152,11 +152,7 @@ def _judged(hand: Hand, obj: ObjectModel, grasps: GraspSet, synthesis: Synthesis
             f"expected hand '{hand.name}' on object '{obj.name}'."
         )
     names = dict.fromkeys((synthesis.protocol, *synthesis.also))
-    agreed = {
-        name: verdict
-        for name, verdict in grasps.verdicts.items()
-        if name in names and dict(verdict.parameters) == verdict_parameters(hand, obj, name)
-    }
+    agreed = {name: v for name, v in current_verdicts(hand, obj, grasps).items() if name in names}
     grasps = replace(grasps, verdicts=agreed, protocol=synthesis.protocol)
     missing = [name for name in names if name not in agreed]
     if not missing or len(grasps) == 0:

@@ -13,7 +13,7 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import thread_map
 from neuralgrasps.sim.build import CONTACT_DIMENSIONS, contact_friction, object_mass
 from neuralgrasps.sim.grasp_trial import GraspTrial, TrialOutcome, silent_engine
-from neuralgrasps.sim.protocols import Protocol, get_protocol
+from neuralgrasps.sim.protocols import PROTOCOLS, Protocol, get_protocol
 
 
 def validate_grasps(
@@ -135,6 +135,26 @@ def verdict_parameters(hand: Hand, obj: ObjectModel, protocol: str | Protocol) -
         "condim": float(CONTACT_DIMENSIONS),
         "multiccd": float(protocol.multiccd),
     }
+
+
+def current_verdicts(hand: Hand, obj: ObjectModel, grasps: GraspSet) -> dict[str, Verdict]:
+    """Those verdicts of `grasps`, by protocol, that a trial of today would be run with the same numbers for.
+
+    A verdict on a lighter object, another friction or an older protocol says nothing about a trial of today.
+    """
+    return {
+        name: verdict
+        for name, verdict in grasps.verdicts.items()
+        if name in PROTOCOLS and dict(verdict.parameters) == verdict_parameters(hand, obj, name)
+    }
+
+
+def not_let_fall(hand: Hand, obj: ObjectModel, grasps: GraspSet) -> GraspSet:
+    """Without the grasps that every one of the `current_verdicts` lets fall; all of them where there are none."""
+    current = current_verdicts(hand, obj, grasps)
+    if not current:
+        return grasps
+    return grasps[np.any([verdict.success for verdict in current.values()], axis=0)]
 
 
 def check_pair(hand: Hand, obj: ObjectModel, grasps: GraspSet) -> None:
