@@ -28,7 +28,7 @@ _SAME_PLACE, _SAME_SIZE, _SAME_M = 0.03, 0.05, 0.015  # what second crops of the
 
 
 class JointReader:
-    """A trained net; see `load`. It looks twice: the second crop is taken round the joints of the first."""
+    """A trained net; see `load`. It looks twice, the second time round the joints found, and takes the mean of both."""
 
     def __init__(self, net: JointNet, *, looks: int = 2) -> None:
         """Take a net; it is changed for use (`JointNet.fused`).
@@ -70,7 +70,7 @@ class JointReader:
         if len(frames) != len(boxes):
             raise InputError(f"{len(frames)} frames but {len(boxes)} boxes; expected one box per frame.")
         crops = [_first_crop(frame, box) for frame, box in zip(frames, boxes, strict=True)]
-        out = [_nothing_seen(box) for box in boxes]
+        out, found = [_nothing_seen(box) for box in boxes], [_Found() for _ in boxes]
         for look in range(self._looks):
             rows = [row for row, crop in enumerate(crops) if crop is not None]
             taken = [crop for crop in crops if crop is not None]
@@ -78,9 +78,10 @@ class JointReader:
                 break
             points_C, widths, masks = self._run(taken, [boxes[row].side == "left" for row in rows])
             for k, row in enumerate(rows):
+                found[row].add(points_C[k], widths[k])
                 crops[row] = _crop_round(frames[row], points_C[k], taken[k]) if look + 1 < self._looks else None
                 if crops[row] is None:
-                    out[row] = _seen(frames[row], boxes[row], taken[k], points_C[k], widths[k], masks[k])
+                    out[row] = _seen(frames[row], boxes[row], taken[k], found[row], masks[k])
         return out
 
     def _run(self, crops: list[Crop], lefts: list[bool]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -100,6 +101,25 @@ class JointReader:
         images = torch.from_numpy(inputs).to(kind).contiguous(memory_format=torch.channels_last)
         with torch.inference_mode():
             return self._net(images, torch.from_numpy(conditions).to(kind))
+
+
+class _Found:
+    """What the looks at one hand said: the mean joints, weighted by how sure each look was."""
+
+    def __init__(self) -> None:
+        self.widths = np.zeros(NUM_JOINTS)  # expected errors of the last look, metres
+        self._sum, self._weight = np.zeros((NUM_JOINTS, 3)), np.zeros(NUM_JOINTS)
+
+    def add(self, points_C: np.ndarray, widths: np.ndarray) -> None:
+        """One more look: joints (21, 3) and their expected errors (21,), metres."""
+        self.widths = widths
+        self._sum += points_C / widths[:, None] ** 2
+        self._weight += 1.0 / widths**2
+
+    @property
+    def points_C(self) -> np.ndarray:
+        """(21, 3) metres."""
+        return self._sum / self._weight[:, None]
 
 
 def box_of_joints(frame: Frame, points_C: np.ndarray, *, side: HandBox) -> HandBox:
@@ -137,13 +157,12 @@ def _crop_round(frame: Frame, points_C: np.ndarray, before: Crop) -> Crop | None
     return crop if crop is not None and crop.inputs[1].any() else None
 
 
-def _seen(
-    frame: Frame, box: HandBox, crop: Crop, points_C: np.ndarray, widths: np.ndarray, mask: np.ndarray
-) -> SeenJoints:
+def _seen(frame: Frame, box: HandBox, crop: Crop, found: _Found, mask: np.ndarray) -> SeenJoints:
+    points_C = found.points_C
     whole = full_mask(crop, mask, frame.depth.shape)
     near, far = points_C[:, 2].min() - _NEAR_M, points_C[:, 2].max() + _FAR_M
     whole &= (frame.depth > near) & (frame.depth < far)
-    weight = _TRUST_M**2 / (_TRUST_M**2 + widths**2)
+    weight = _TRUST_M**2 / (_TRUST_M**2 + found.widths**2)
     return SeenJoints(points_C=points_C, weight=weight, mask=whole, side=box.side, source=_SOURCE)
 
 
