@@ -13,6 +13,7 @@ from neuralgrasps.apply.demonstrate import (
     demonstrate,
     demonstration_support,
     load_hand_eyes,
+    person_mask,
 )
 from neuralgrasps.apply.transfer import TransferConfig
 from neuralgrasps.errors import InputError

@@ -9,7 +9,6 @@ import numpy as np
 
 from neuralgrasps.human.fuse import fused_fit
 from neuralgrasps.human.grasp_moment import (
-    StillRun,
     Touch,
     first_motion,
     joint_distances,
@@ -58,7 +57,10 @@ class StillGrasp:
 
 
 def find_still_grasp(video: HandVideo, coarse: Sequence[int], limits: GraspLimits) -> StillGrasp | str:
-    """The still phase among the coarse frames in which the hand touches the object, looked at in full; or why none."""
+    """The still phase among the coarse frames in which the hand touches the object, looked at in full; or why none.
+
+    Where the video has an object, frames in which its pose is not known say nothing of a grasp, and are left out.
+    """
     distance = _distances(video, coarse)
     within = still_threshold(distance, least_m=limits.still_m[0], most_m=limits.still_m[1])
     least = 1 if len(video.frames) < 3 else min(3, len(coarse))
@@ -68,22 +70,53 @@ def find_still_grasp(video: HandVideo, coarse: Sequence[int], limits: GraspLimit
             f"the hand never keeps still in the {len(coarse)} frames looked at that show it; expected at least {least} "
             "in a row. Hold the grasp for half a second, or raise still_m if the joints are noisy."
         )
+    known = {run: [n for n in run.frames if _is_placed(video, n)] for run in runs}
     gaps, best = [], None
-    for run in sorted(runs[:_RUNS], key=lambda r: r.frames[0]):
-        gaps.append((_gap(video, run.middle), run.middle))
+    for run in sorted([run for run in runs if known[run]][:_RUNS], key=lambda r: r.frames[0]):
+        middle = min(known[run], key=lambda n: (abs(n - run.middle), n))
+        gaps.append((_gap(video, middle), middle))
         if gaps[-1][0] > limits.near_m:
             continue
-        grasp = _looked_at(video, run, within, limits)
+        grasp = _looked_at(video, known[run], within, limits)
         if best is None or _better(grasp, best, limits):
             best = grasp
     if best is not None and (best.touch is None or best.touch.nearest_m <= limits.near_m):
         return best
     if best is not None and best.touch is not None:
         gaps.append((best.touch.nearest_m, best.moment))
+    return _untouched(video, gaps, [run.frames[0] for run in runs if not known[run]])
+
+
+def _untouched(video: HandVideo, gaps: Sequence[tuple[float, int]], lost: Sequence[int]) -> str:
+    """Why there is no grasp: how near the still hand came in which frames, and where the object was lost."""
+    if lost:
+        known = f" Where it is known the still hand comes within {1e3 * min(gaps)[0]:.0f} mm of it." if gaps else ""
+        return _lost(video, min(lost)) + known
     gap, number = min(gaps)
     return (
         f"the still hand never touches the object: it comes within {1e3 * gap:.0f} mm, in frame {number}. Is the "
         "object the right one, its pose right, and the grasp held for half a second?"
+    )
+
+
+def _is_placed(video: HandVideo, number: int) -> bool:
+    """Whether a frame can show a grasp: the object's pose is known there, or there is no object to know of."""
+    return video.obj is None or video.held(number) is not None
+
+
+def _lost(video: HandVideo, still_from: int) -> str:
+    """Why there is no grasp where the object's pose is not known in any frame in which the hand keeps still."""
+    known = [n for n in range(len(video.frames)) if _is_placed(video, n)]
+    before = [n for n in known if n < still_from]
+    if before:
+        when = f"the object was lost from frame {before[-1] + 1}, before the hand held still in frame {still_from}"
+    elif known:
+        when = f"the object is found only from frame {known[0]} on, after the hand held still in frame {still_from}"
+    else:
+        when = "the object's pose is not known in any frame"
+    return (
+        f"{when}; what the hand grasps there cannot be said. Hold the object where it stood for half a second before "
+        "it is moved, and leave a part of it in view."
     )
 
 
@@ -99,19 +132,19 @@ def _distances(video: HandVideo, numbers: Sequence[int]) -> np.ndarray:
 
 
 def _gap(video: HandVideo, number: int) -> float:
-    """How far the hand is from the object in a frame, metres; 0 where the object is not known there."""
+    """How far the hand is from the object in a frame, metres; 0 where there is no object to know of."""
     fitted, held = video.fit(number), video.held(number)
     return 0.0 if fitted is None or held is None else touch(fitted, *held).nearest_m
 
 
-def _looked_at(video: HandVideo, run: StillRun, within_m: float, limits: GraspLimits) -> StillGrasp:
-    """All frames of a still phase, up to where the object moves, as one fit."""
-    first, last = run.frames[0], run.frames[-1]
+def _looked_at(video: HandVideo, coarse: Sequence[int], within_m: float, limits: GraspLimits) -> StillGrasp:
+    """All frames of a still phase, of which some are given, up to where the object moves or is lost, as one fit."""
+    first, last = coarse[0], coarse[-1]
     moves = first_motion(video.object_in_world(), range(first, last + 1), moved_m=limits.moved_m)
     if moves is not None and moves - first >= 3:
         last = moves - 1
     wanted = sorted({int(n) for n in np.linspace(first, last, limits.fuse).round()})
-    shown = [n for n in wanted if video.see(n) is not None]
+    shown = [n for n in wanted if video.see(n) is not None and _is_placed(video, n)]
     distance = _distances(video, shown)
     typical = np.median(distance, axis=1)
     inner = np.arange(len(shown) // 4, len(shown) - len(shown) // 4)  # its ends may belong to the motion

@@ -22,6 +22,7 @@ from neuralgrasps.perception.frame import Frame, camera_poses
 from neuralgrasps.perception.table import find_table
 
 _HIDDEN = 0.35  # share of the joints that a frame shows from which on little is hidden
+_UNTOUCHED = 0.6  # of the confidence is left when the hand is not seen to hold the object
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,20 +93,22 @@ def watch_hand(
     track's `stage` and `reason`.
 
     Args:
-        frames: T frames of one camera, in order; at rest unless all have a camera pose.
+        frames: T frames of one camera, in order; at rest, or all with a camera pose.
         detector, reader: find hands and read joints; needed unless `joints` (T,) are given.
         obj, X_CO: the object and its pose in every camera frame, (T, 4, 4) with nan or None where not known, or one
-            (4, 4) for all. Without them a still hand counts as a grasp wherever it is.
+            (4, 4) for all. The grasp is in a frame where it is known. Without obj or X_CO a still hand counts as a
+            grasp wherever it is, less surely.
         side: of the hand; None: decided here. table: what the object stands on, the first frame's
             camera, normal up; None: looked for.
     Raises:
-        InputError: no frames, joints for another number of frames, or neither joints nor a detector and a reader.
+        InputError: no frames, joints for another number of frames, neither joints nor a detector and a reader, or a
+            camera that moves and frames without its pose.
     """
     config = config or WatchConfig()
     _check_inputs(frames, detector, reader, joints)
     video = HandVideo(
-        frames=frames, reader=reader, obj=obj, X_CO=object_poses(X_CO, len(frames)), X_WC=camera_poses(frames),
-        table=_table(frames, table), cloud_config=config.cloud, scale=config.scale,
+        frames=frames, reader=reader, obj=None if X_CO is None else obj, X_CO=object_poses(X_CO, len(frames)),
+        X_WC=camera_poses(frames), table=_table(frames, table), cloud_config=config.cloud, scale=config.scale,
     )  # fmt: skip
     reason = look(video, detector, joints, side, config.look)
     if reason:
@@ -164,10 +167,11 @@ def _graded(video: HandVideo, grasp: StillGrasp, limits: GraspLimits) -> HandTra
         reasons.append(f"the frame shows only {100 * visible:.0f} % of the hand's joints.")
         sure *= 0.3 + 0.7 * visible / _HIDDEN
     if grasp.touch is None:
-        reasons.append("where the object is in this frame is not known, nor whether the hand touches it.")
+        reasons.append("where the object is was not given: it is not known whether the hand touches it.")
+        sure *= _UNTOUCHED
     elif not grasp.touch.holds(limits.contact_m):
         reasons.append(f"only {', '.join(grasp.touch.touching(limits.contact_m)) or 'nothing'} touches the object.")
-        sure *= 0.6
+        sure *= _UNTOUCHED
     fitted = replace(grasp.fitted, confidence=sure, reasons=tuple(reasons))
     contacts = () if grasp.touch is None else grasp.touch.touching(limits.contact_m)
     return replace(
