@@ -114,8 +114,9 @@ def video(**more):
     )  # fmt: skip
     record = VideoRecord(
         object="box", index=0, side="left", scale=0.8, kind="power", length=30, stage="", reason="", side_right=True,
-        moment_off=0, object_add_s=0.001, grasp_root=0.003, grasp_surface=0.001, map_difference=0.02, similarity=0.9,
-        oracle=0.8, lifted=True, lifted_retry=True, place=0, seconds={"hand": 1.0}, frames=frames,
+        moment_off=0, object_add_s=0.001, grasp_root=0.003, grasp_surface=0.001, map_difference=0.02, contact_similarity=0.9,
+        similarity=0.9,
+        oracle=0.8, lifted=True, lifted_retry=True, place=0, seconds={"object": 1.0, "hand": 2.0}, frames=frames,
     )  # fmt: skip
     return replace(record, **more)
 
@@ -134,8 +135,10 @@ def test_figures_are_means_of_what_was_seen():
     assert figures["fps"] == pytest.approx(20.0)
     assert figures["demonstrate_success"] == 0.5 and figures["grasps_found"] == 0.5 and figures["side_right"] == 0.5
     assert figures["moment_right"] == 0.5 and figures["object_pose_right"] == 0.5
-    assert figures["transfer_similarity_minus_oracle"] == pytest.approx(0.1)
-    assert figures["contact_similarity"] == pytest.approx(0.98)
+    assert figures["demonstrate_similarity_minus_oracle"] == pytest.approx(0.1)
+    assert figures["contact_map_difference"] == pytest.approx(0.02)
+    assert figures["contact_similarity"] == pytest.approx(0.9)
+    assert figures["video_fps"] == pytest.approx(10.0)
     assert figures["fit_rms_mm"] == 1.5
 
 

@@ -15,10 +15,9 @@ from neuralgrasps.evaluate.shares import wilson_interval
 
 FIGURES = (
     "joints_root_relative_mm", "joints_procrustes_mm", "joints_found", "fitted_root_relative_mm", "fitted_surface_mm",
-    "fit_rms_mm", "fps", "grasp_root_relative_mm", "grasp_surface_mm", "side_right", "moment_right",
-    "object_pose_right", "contact_similarity", "transfer_similarity_minus_oracle", "demonstrate_success",
-    "demonstrate_success_retry",
-    "grasps_found",
+    "fit_rms_mm", "fps", "video_fps", "grasp_root_relative_mm", "grasp_surface_mm", "grasps_found", "side_right",
+    "moment_right", "object_pose_right", "contact_similarity", "contact_map_difference",
+    "demonstrate_similarity_minus_oracle", "demonstrate_success", "demonstrate_success_retry",
 )  # fmt: skip
 _VISIBLE = (0.4, 0.6, 0.8, 1.01)
 
@@ -43,8 +42,10 @@ def demonstrate_figures(bench: DemonstrateBench) -> dict[str, float]:
         "side_right": _share(v.side_right for v in videos),
         "moment_right": _share(v.moment_off == 0 for v in videos),
         "object_pose_right": _share(v.object_add_s < 0.01 for v in videos),
-        "contact_similarity": 1.0 - _mean(v.map_difference for v in videos),
-        "transfer_similarity_minus_oracle": _mean(v.similarity - v.oracle for v in videos),
+        "contact_map_difference": _mean(v.map_difference for v in videos),
+        "contact_similarity": _mean(v.contact_similarity for v in videos),
+        "video_fps": _video_fps(videos),
+        "demonstrate_similarity_minus_oracle": _mean(v.similarity - v.oracle for v in videos),
         "demonstrate_success": _share(v.lifted for v in videos),
         "demonstrate_success_retry": _share(v.lifted_retry for v in videos),
         **bench.fit,
@@ -106,6 +107,13 @@ def _visible_row(low: float, high: float, frames: Sequence[FrameErrors]) -> dict
         "fit_root_mm": _mm(f.fit_root for f in seen),
         "fit_surface_mm": _mm(f.fit_surface for f in seen),
     }
+
+
+def _video_fps(videos: Sequence[VideoRecord]) -> float:
+    """Frames of all videos over the time that finding the object and watching the hand took."""
+    watched = [v for v in videos if "hand" in v.seconds]
+    spent = sum(v.seconds["object"] + v.seconds["hand"] for v in watched)
+    return sum(v.length for v in watched) / spent if spent else float("nan")
 
 
 def _finite(values: Iterable[float | None]) -> np.ndarray:

@@ -72,6 +72,7 @@ class VideoRecord:
         object_add_s, object_mssd: errors of the object's pose at the moment.
         grasp_root, grasp_surface: of the fused grasp. map_difference: mean |difference| of its contact map and the true
             one.
+        contact_similarity: the same as a similarity, on the scale of the transfer.
         similarity, oracle: of the first transferred grasp, and of the best known one, to the grasp seen.
         similarity_true: of the first transferred grasp to the grasp that was made.
         place: in the order of transfer, of the grasp that was carried out; -1 without a plan.
@@ -96,6 +97,7 @@ class VideoRecord:
     grasp_surface: float = float("nan")
     confidence: float = float("nan")
     map_difference: float = float("nan")
+    contact_similarity: float = float("nan")
     similarity: float = float("nan")
     oracle: float = float("nan")
     similarity_true: float = float("nan")
@@ -138,8 +140,7 @@ def measure_video(task: VideoTask) -> VideoRecord:
         stage=found.stage, reason=found.reason, seconds=seconds,
     )  # fmt: skip
     record = replace(record, **_seen_errors(found, obj, truth), **_transfer_errors(found, obj, truth))
-    if found.track is not None and found.followed is not None and np.isfinite(found.track.scale):
-        record = replace(record, frames=_frame_errors(frames, found, obj, truth))
+    record = replace(record, frames=_frame_errors(frames, found, obj, truth))
     if not found.stage:
         record = _carried_out(record, found, obj, robot, task)
     return record
@@ -172,8 +173,9 @@ def _transfer_errors(found: Demonstration, obj: ObjectModel, truth: Demonstratio
         return {}
     human = scaled_hand(human_hand(truth.side), truth.scale)
     made = query_from_grasp(human, obj, truth.X_OH, truth.q[truth.grasp_frame])
-    out = {"map_difference": _least_difference(found.query.contact_map, made.contact_map, obj)}
     result = found.transfer
+    off = _least_difference(found.query.contact_map, made.contact_map, obj)
+    out = {"map_difference": off, "contact_similarity": 1.0 - off / result.scale}
     if not len(result.grasps):
         return out
     best = contact_map(
@@ -196,9 +198,13 @@ def _least_difference(found: np.ndarray, true: np.ndarray, obj: ObjectModel) -> 
 def _frame_errors(
     frames: Sequence[Frame], found: Demonstration, obj: ObjectModel, truth: DemonstrationTruth
 ) -> tuple[FrameErrors, ...]:
-    """Every other frame in which the object is held, each on its own; the size and side are those of the video."""
+    """Every other frame in which the object is held, each on its own, whatever came of the video.
+
+    Size and side are those found over the video; where none were, the detector's side, and a size fitted per frame.
+    """
     track, followed = found.track, found.followed
-    assert track is not None and followed is not None
+    assert followed is not None
+    scale = track.scale if track is not None and np.isfinite(track.scale) else None
     detector, reader = _eyes()
     out = []
     for n in range(truth.still[0], len(frames), _EVERY):
@@ -212,7 +218,7 @@ def _frame_errors(
         video = HandVideo(
             frames=[frames[n]], reader=reader, obj=obj, X_CO=followed.X_CO[n][None], X_WC=np.eye(4)[None],
             table=None if followed.table is None else followed.table.plane, cloud_config=_CONFIG.watch.cloud,
-            side=track.side, scale=track.scale, boxes={0: boxes[0]},
+            side=boxes[0].side if track is None else track.side, scale=scale, boxes={0: boxes[0]},
         )  # fmt: skip
         fitted, seen = video.fit(0), video.see(0)
         seconds = time.perf_counter() - begun
