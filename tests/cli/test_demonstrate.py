@@ -138,6 +138,9 @@ def test_every_takes_some_frames_and_their_joints(ng: Call, video: Video, tmp_pa
         (("--colour", "a.png"), "--colour goes with a single depth image"),
         (("--fx", "300", "--camera", "a.json"), "both give the camera"),
         (("--keep-free", "lid"), "lid"),
+        (("--keep-free", "top:1"), "covers all of the surface"),
+        (("--approach", "sideways", "30deg"), "approach axis 'sideways'"),
+        (("--approach", "world:+x", "30deg"), "is not vertical"),
         (("--report", "."), "is a folder"),
     ],
 )

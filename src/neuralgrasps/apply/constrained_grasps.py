@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from neuralgrasps.apply.constraints import GraspConstraints
 from neuralgrasps.grasps.grasp_set import GraspSet, concatenate
 from neuralgrasps.hands.fingerprint import fingerprint
@@ -11,6 +13,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
 from neuralgrasps.sim.validate import current_verdicts, not_let_fall
+from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 ENOUGH = 10  # known grasps that meet the constraints: with fewer, some are made
@@ -25,6 +28,7 @@ def with_constrained(
     *,
     protocol: str,
     enough: int = ENOUGH,
+    support: Support | None = None,
     seed: int = 0,
 ) -> GraspSet:
     """The known grasps and, where fewer than `enough` meet the constraints, new ones that do.
@@ -33,18 +37,19 @@ def with_constrained(
 
     Args:
         known: grasps of the hand on the constraints' object. protocol: physics trial that the new ones held.
+        support: the table as it was seen; None: that of the constraints, if they say which side is up.
     """
-    meets = constraints.allows(hand, known.X_OH, known.q, known.q_pregrasp)
+    support = support or constraints.support
+    meets = _met(constraints, support, hand, known)
     aimed = aimed_object(constraints)
     if int(meets.sum()) >= enough or aimed is None:
         return known
     settings = SynthesisConfig(count=_MADE, max_rounds=_ROUNDS, protocol=protocol)
-    support = constraints.support
     made = remembered(
         ("constrained", pair_fingerprint(hand, aimed), settings, seed, support),
         lambda: synthesise(hand, aimed, config=settings, seed=seed, support=support).grasps,
     )
-    made = made[constraints.allows(hand, made.X_OH, made.q, made.q_pregrasp)]
+    made = made[_met(constraints, support, hand, made)]
     if not len(made):
         return known
     if not len(known):
@@ -52,6 +57,15 @@ def with_constrained(
     both = [_judged_by(hand, constraints.obj, one, protocol) for one in (known, made)]
     agreed = all(protocol in one.verdicts for one in both)
     return concatenate([one if agreed else replace(one, verdicts={}) for one in both])
+
+
+def _met(constraints: GraspConstraints, support: Support | None, hand: Hand, grasps: GraspSet) -> np.ndarray:
+    """(N,) bool: grasps that meet the constraints and clear the table."""
+    met = constraints.allows(hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)
+    if support is not None:
+        left = np.flatnonzero(met)
+        met[left] = support.allows(hand, grasps.X_OH[left], grasps.q[left], grasps.q_pregrasp[left])
+    return met
 
 
 def aimed_object(constraints: GraspConstraints) -> ObjectModel | None:

@@ -16,7 +16,8 @@ import numpy as np
 from scipy import ndimage
 
 from neuralgrasps.apply.demonstrate_checks import depth_trouble
-from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult, transfer
+from neuralgrasps.apply.demonstrate_rules import TableRules, transfer_under
+from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_grasp
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
@@ -115,7 +116,7 @@ def demonstrate(
     joints: Sequence[SeenJoints | None] | None = None,
     side: Side | None = None,
     known: GraspSet | None = None,
-    constraints: Constraint | None = None,
+    constraints: Constraint | TableRules | None = None,
     config: DemonstrateConfig | None = None,
     seed: int = 0,
 ) -> Demonstration:
@@ -128,7 +129,8 @@ def demonstrate(
         side: of the person's hand; None: decided from the frames.
         joints: (T,) joints from elsewhere in place of detector and reader; None in frames without.
         known: proven grasps of `obj` by `hand`; None: made on the spot, and kept.
-        constraints: what further rules grasps out, see `transfer`.
+        constraints: what further rules grasps out, see `transfer`; or a function that makes it from the table in the
+            object's frame (normal up; None: none was found), for what depends on how the object stands.
         seed: of all searches.
     Raises:
         InputError: no frames, or some without the pose of a camera that moves. What cannot be seen is no error: the
@@ -156,12 +158,17 @@ def demonstrate(
         return replace(so_far, track=track, stage=track.stage, reason=track.reason)
     human, X_OH = grasp_in_object(track.grasp, followed.X_CO[track.moment])
     query = query_from_grasp(human, obj, X_OH, track.grasp.q)
-    found = transfer(
-        query, hand, obj, known=known, config=config.transfer, constraints=constraints, seed=seed,
+    so_far = replace(so_far, track=track, human=human, X_OH=X_OH, q=track.grasp.q, query=query)
+    try:
+        rules = constraints(so_far.table_O) if callable(constraints) else constraints
+    except InputError as error:  # no hand can meet them on an object that stands like this
+        return replace(so_far, stage="transfer", reason=str(error))
+    found = transfer_under(
+        query, hand, obj, known=known, config=config.transfer, constraints=rules, seed=seed,
         support=demonstration_support(obj, so_far.table_O) if config.on_table else None,
     )  # fmt: skip
     clock("transfer")
-    so_far = replace(so_far, track=track, human=human, X_OH=X_OH, q=track.grasp.q, query=query, transfer=found)
+    so_far = replace(so_far, transfer=found)
     return so_far if len(found.grasps) else replace(so_far, stage="transfer", reason=found.reason)
 
 

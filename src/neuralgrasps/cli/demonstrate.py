@@ -20,6 +20,7 @@ from neuralgrasps.errors import InputError
 if TYPE_CHECKING:
     from neuralgrasps.apply.constraints import GraspConstraints
     from neuralgrasps.apply.demonstrate import Demonstration
+    from neuralgrasps.apply.demonstrate_rules import TextRules
     from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.arms.manipulator import Manipulator
     from neuralgrasps.evaluate.execute import Trial
@@ -76,7 +77,8 @@ def demonstrate(
         method: retrieve: known grasps; generate: new ones, searched; or both.
         only_region: the robot touches the object only there; a REGION is as in `transfer`.
         keep_free: no part of the robot's hand comes near the object there.
-        approach: the palm comes along this axis of the object, at most so far off it.
+        approach: the palm comes along this axis of the object, at most so far off it; down is straight down onto the
+            table.
         grasps: known grasps of this hand and object; default the shipped ones, else some are made and kept.
         flange: link of the arm's file that carries the hand, where it is not found.
         missing_meshes: skip: leave out shapes whose mesh files are not there.
@@ -86,6 +88,7 @@ def demonstrate(
         out: folder for numbers (JSON), grasps, pictures, and the robot's plan (YAML).
     """
     from neuralgrasps.apply.demonstrate import DemonstrateConfig
+    from neuralgrasps.apply.demonstrate_rules import rules_from_text
     from neuralgrasps.cli.demonstrate_files import write_demonstrated
     from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
     from neuralgrasps.report.demonstration_page import DemonstrationStory
@@ -97,13 +100,14 @@ def demonstrate(
     manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
     with terminal.progress("reading the object"):
         obj = _open_object(terminal, object_name)
-    rules = _rules(obj, only_region, keep_free, approach)
+    rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
     shown = read_shown(terminal, rgbd, source)
     known = _known(terminal, object_name, obj, robot_hand, grasps)
     config = replace(DemonstrateConfig().transfer, count=count, trials=max(count, _LEAST_TRIALS), method=method)
     demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
-    if demo.stage == "transfer" and rules is not None:
-        demo = replace(demo, reason=_reason_with(terminal, demo, obj, robot_hand, known, config, rules))
+    bound = None if rules is None or demo.transfer is None else rules(demo.table_O)
+    if demo.stage == "transfer" and bound is not None:
+        demo = replace(demo, reason=_reason_with(terminal, demo, obj, robot_hand, known, config, bound))
     pictured = report is not None or video is not None or out is not None
     trial = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else None
     story = DemonstrationStory(frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
@@ -176,17 +180,6 @@ def _open_object(terminal: Terminal, spec: str) -> ObjectModel:
     return obj
 
 
-def _rules(
-    obj: ObjectModel, only_region: Regions, keep_free: Regions, approach: OptionalCone
-) -> GraspConstraints | None:
-    """What else is asked of the robot's grasps; None when nothing is."""
-    from neuralgrasps.apply.constraint_text import constraints_from_text
-
-    if not (only_region or keep_free or approach):
-        return None
-    return constraints_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
-
-
 def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Path | None) -> GraspSet | None:
     """Grasps of the file, else of a shipped run; None: they are made on the spot."""
     from neuralgrasps.cli.bench_library import library_of
@@ -215,7 +208,7 @@ def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Pa
 
 def _watched(
     terminal: Terminal, shown: Shown, obj: ObjectModel, hand: Hand, config: TransferConfig, *,
-    side: Literal["right", "left"] | None, known: GraspSet | None, rules: GraspConstraints | None, seed: int,
+    side: Literal["right", "left"] | None, known: GraspSet | None, rules: TextRules | None, seed: int,
 ) -> Demonstration:  # fmt: skip
     from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.apply.demonstrate import demonstrate as watch

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from neuralgrasps.errors import InputError, check_shape
+from neuralgrasps.geometry.se3_numpy import make_transform_np
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,14 @@ class Plane:
         """The plane of frame B as seen in frame A, given X_AB (4, 4)."""
         normal = X_AB[:3, :3] @ self.normal
         return Plane(normal / np.linalg.norm(normal), float(self.offset_m - normal @ X_AB[:3, 3]))
+
+
+def standing_on(plane_O: Plane) -> np.ndarray:
+    """X_WO (4, 4) that puts a plane of O at z = 0, its normal up, and O's origin above W's."""
+    z = np.asarray(plane_O.normal, np.float64)
+    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    x /= np.linalg.norm(x)
+    return make_transform_np(np.stack([x, np.cross(z, x), z]), [0.0, 0.0, float(plane_O.offset_m)])
 
 
 def horizontal_plane(height_m: float, X_WC: np.ndarray) -> Plane:

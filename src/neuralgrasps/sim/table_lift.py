@@ -14,7 +14,7 @@ from neuralgrasps.arms.arm import Arm
 from neuralgrasps.arms.manipulator import Manipulator, mount_at
 from neuralgrasps.arms.trajectory import Trajectory
 from neuralgrasps.errors import InputError
-from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.plane import Plane, standing_on
 from neuralgrasps.geometry.se3_numpy import make_transform_np
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
 from neuralgrasps.hands.hand import Hand
@@ -72,7 +72,7 @@ def try_lifts(
     check_pair(hand, obj, grasps)
     protocol = replace(config.table.grasp, friction_scale=config.friction_scale * config.table.grasp.friction_scale)
     physics = replace(config.table, grasp=protocol)
-    X_WO = _upright(table_O)
+    X_WO = standing_on(table_O)
     slips = [_try(hand, obj, grasps[i], X_WO, config, physics) for i in range(len(grasps))]
     displacement = np.array([s[0] for s in slips], np.float64)
     return Verdict(
@@ -122,14 +122,6 @@ class _Table:
     name: str = "table"
     X_BX: np.ndarray = field(default_factory=lambda: make_transform_np(translation=[0.0, 0.0, -_TABLE_HALF_M[2]]))
     half: np.ndarray = field(default_factory=lambda: np.array(_TABLE_HALF_M))
-
-
-def _upright(table_O: Plane) -> np.ndarray:
-    """X_WO (4, 4) that puts the table at z = 0 and the object's origin above W's."""
-    z = np.asarray(table_O.normal, np.float64)
-    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x /= np.linalg.norm(x)
-    return make_transform_np(np.stack([x, np.cross(z, x), z]), [0.0, 0.0, float(table_O.offset_m)])
 
 
 def _carried_hand(hand: Hand, X_WH: np.ndarray, q_hand: np.ndarray) -> Manipulator:
