@@ -108,6 +108,21 @@ def test_stages_say_what_they_came_to(demo: Demonstration):
     assert texts["Grasp"] == "in frame 4, 2 frames fused; palm, thumb touch"
 
 
+def test_what_is_less_than_sure_is_doubtful_and_frames_are_named(demo: Demonstration):
+    assert demo.followed is not None and demo.followed.pose is not None
+    unsure = replace(demo.followed, pose=replace(demo.followed.pose, confidence=0.7))
+    named = [f"shot{k:02d}" for k in range(len(GAPS))]
+    first = demonstration_stages(replace(demo, followed=unsure), None, executed=False, names=named)[0]
+    assert (first.verdict, first.text) == ("doubtful", "70 % sure, in frame shot00")
+
+
+def test_the_side_drawn_is_the_one_decided(demo: Demonstration, obj: ObjectModel, video: ShownVideo):
+    assert demo.track is not None
+    boxes = tuple(None if box is None else replace(box, side="left", side_score=0.5) for box in demo.track.boxes)
+    seen = frames_of(video.frames, replace(demo, track=replace(demo.track, boxes=boxes)), obj)
+    assert {layer.box.side for layer in seen.layers if layer.box is not None} == {"right"}
+
+
 def test_an_object_that_was_not_found_is_not_said_to_be(demo: Demonstration):
     assert demo.followed is not None
     lost = replace(demo.followed, reason="it is another thing.")
@@ -203,7 +218,7 @@ def test_a_page_without_an_object_shows_the_frame_and_no_more(demo: Demonstratio
     story = DemonstrationStory(frames=video.frames, demo=failed, obj=obj, hand=load_hand("fetch"), executed=True)
     page = parsed(demonstration_report(story, robot="fetch", command="demonstrate"))
     sections = [e.get("id") for e in page.iter() if e.tag.endswith("section")]
-    assert sections == ["stages", "moment", "numbers"]
+    assert sections == ["stages", "moment", "numbers", "times"]
     captions = [text_of(e) for e in page.iter() if e.tag.endswith("small")]
     assert captions == ["what the camera saw"]
 

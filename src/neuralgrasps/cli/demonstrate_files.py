@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -74,7 +75,10 @@ def _write_page(
     from neuralgrasps.report.demonstration_page import demonstration_report
     from neuralgrasps.report.page import write_report
 
-    story = replace(story, executions=_executions(record, film))
+    begun = time.perf_counter()
+    executions = _executions(record, film)
+    seconds = dict(story.seconds) | {"drawing": time.perf_counter() - begun}
+    story = replace(story, executions=executions, seconds=seconds)
     hand, arm = story.hand.name, record["arm"]
     done = iter(range(_STEPS))
 
@@ -101,7 +105,9 @@ def _executions(record: Mapping[str, Any], film: Film | None) -> tuple[Execution
     pictures = {} if film is None else strip_pictures(film)
     moving = b"" if film is None else moving_picture(film)
     title = f"{pretty_name(str(record['object']))}, by {record['arm']}"
-    return (replace(trial_figure(trial, pictures, number=0, moving=moving), title=title),)
+    card = trial_figure(trial, pictures, number=0, moving=moving)
+    facts = tuple(("plan, with compiling" if k == "plan" and trial["compiled"] else k, v) for k, v in card.facts)
+    return (replace(card, title=title, facts=facts),)
 
 
 def _write_folder(

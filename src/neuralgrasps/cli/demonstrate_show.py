@@ -40,7 +40,7 @@ def demonstration_record(story: DemonstrationStory, kept: Sequence[int]) -> dict
         "person": _person_record(demo),
         "transfer": _transfer_record(demo),
         "execution": _execution_record(story),
-        "seconds": dict(demo.seconds),
+        "seconds": dict(demo.seconds) | dict(story.seconds),
     }  # fmt: skip
 
 
@@ -131,12 +131,12 @@ def _execution_record(story: DemonstrationStory) -> dict[str, Any] | None:
 
     if story.trial is None:
         return None
-    return trial_record(story.trial) | {"place": executed_place(story.trial, story.demo)}
+    return trial_record(story.trial) | {"compiled": story.compiled, "place": executed_place(story.trial, story.demo)}
 
 
 def show_demonstration(terminal: Terminal, record: Mapping[str, Any]) -> None:
     """Stages, grasps, and where it stopped."""
-    words = {"ok": "OK", "failed": "FAILED", "not reached": "-"}
+    words = {"ok": "OK", "doubtful": "doubtful", "failed": "FAILED", "not reached": "-"}
     terminal.table(
         ("stage", "", "what it came to"), [(s["name"], words[s["verdict"]], s["text"]) for s in record["stages"]]
     )

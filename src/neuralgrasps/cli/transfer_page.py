@@ -18,7 +18,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.report.content import DemoReport, KeyFigure
 from neuralgrasps.report.page import write_report
 from neuralgrasps.report.sections import pretty_name
-from neuralgrasps.report.transfer_page import transfer_list
+from neuralgrasps.report.transfer_page import constraint_text, transfer_list
 
 
 def write_transfer_page(
@@ -68,11 +68,7 @@ def _key_figures(result: TransferResult, record: Mapping[str, Any]) -> tuple[Key
 def _query_text(asked: Asked, constraints: GraspConstraints) -> str:
     what = "its contact map" if asked.grasp is not None else "the closeness of its surface to these points"
     text = f"On {pretty_name(asked.obj.name)}; {what} is what the grasps are compared with."
-    if not constraints:
-        return text
-    marked = (("kept free: red", constraints.keep_free), ("to be touched only: green", constraints.only_region))
-    colours = ", ".join(words for words, regions in marked if regions)
-    return f"{text} Asked besides: {constraints}{f' ({colours})' if colours else ''}."
+    return f"{text} {constraint_text(constraints)}".rstrip()
 
 
 def _notes(record: Mapping[str, Any]) -> list[str]:

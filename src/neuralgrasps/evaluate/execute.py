@@ -123,7 +123,7 @@ class Attempt:
         return None if self.pick is None else self.pick.plan
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Trial:
     """One object on one table.
 
@@ -146,6 +146,14 @@ class Trial:
     attempts: tuple[Attempt, ...]
     recording: Recording | None
     scene: TableScene
+
+    def __repr__(self) -> str:
+        if self.success_retry:
+            lifted = next((a.lifted_m for a in self.attempts if a.success), 0.0)
+            what = f"lifted {1e3 * lifted:.0f} mm{'' if self.success else ', at a later attempt'}"
+        else:
+            what = f"not lifted, {self.cause or 'no cause known'}"
+        return f"Trial({self.object} by {self.hand}: {what})"
 
 
 def execute_trial(

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-Verdict = Literal["ok", "failed", "not reached"]
+Verdict = Literal["ok", "doubtful", "failed", "not reached"]
 Picture = tuple[str, np.ndarray]
 """Caption and (h, w, 3) or (h, w, 4) uint8 picture."""
 
@@ -35,6 +35,7 @@ class TrackFigure:
         gap_mm: from the hand's surface to the object's; nan everywhere when the object was not found.
         moved_mm: how far the hand moved since the frame before. residual_mm: of the fit to the measured points.
         moment: frame of the grasp, or -1. span: first and last frame that were fused for it, or None.
+        named: the moment's frame by its name; its number when "".
     """
 
     gap_mm: np.ndarray
@@ -42,6 +43,7 @@ class TrackFigure:
     residual_mm: np.ndarray
     moment: int = -1
     span: tuple[int, int] | None = None
+    named: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from neuralgrasps.apply.constraints import GraspConstraints
 from neuralgrasps.apply.demonstrate import Demonstration
 from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.evaluate.demonstrate_execute import executed_place
 from neuralgrasps.evaluate.execute import Trial
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.human.grasp_moment import touch
+from neuralgrasps.human.seen import HandBox, Side
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.report.content import DemoReport, ExecutionFigure, KeyFigure, StageTime, Table
@@ -30,7 +33,7 @@ from neuralgrasps.report.hand_overlay import HandLayers
 from neuralgrasps.report.pose_page import percent_text
 from neuralgrasps.report.sections import number_text, pretty_name
 from neuralgrasps.report.transfer_content import TransferList
-from neuralgrasps.report.transfer_page import transfer_list
+from neuralgrasps.report.transfer_page import constraint_text, transfer_list
 
 Progress = Callable[[str], None]
 _EXECUTION_TEXT = (
@@ -55,6 +58,9 @@ class DemonstrationStory:
         frames: (T) of the video. demo: what came of them. obj, hand: as used.
         executed: the robot was to carry it out; trial: what came of that, None when nothing was tried.
         executions: its card.
+        rules: what else was asked of the robot's grasps.
+        seconds: wall time of what came after the transfer, by stage. compiled: planning time holds compiling.
+        named: say frames by their names; else by their numbers.
     """
 
     frames: Sequence[Frame]
@@ -64,10 +70,21 @@ class DemonstrationStory:
     executed: bool = False
     trial: Trial | None = None
     executions: tuple[ExecutionFigure, ...] = ()
+    rules: GraspConstraints | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    compiled: bool = False
+    named: bool = False
 
     @property
     def stages(self) -> tuple[StageFigure, ...]:
-        return demonstration_stages(self.demo, self.trial, executed=self.executed)
+        return demonstration_stages(
+            self.demo, self.trial, executed=self.executed, names=self.names, compiled=self.compiled
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(T,) what the frames are called."""
+        return tuple(f.name if self.named and f.name else str(k) for k, f in enumerate(self.frames))
 
 
 def demonstration_report(
@@ -80,7 +97,7 @@ def demonstration_report(
         robot: name of the hand, and of the arm where it is another.
         progress: called with what is drawn next.
     """
-    say = progress or (lambda _: None)
+    say, begun = progress or (lambda _: None), time.perf_counter()
     demo, name = story.demo, pretty_name(story.obj.name)
     figure = demonstration_figure(story, say)
     say("the robot's grasps")
@@ -98,12 +115,24 @@ def demonstration_report(
         demonstration=figure,
         transferred=lists,
         executions=story.executions,
-        times=tuple(StageTime(stage=stage, wall_s=s) for stage, s in demo.seconds.items()),
+        times=_times(story, time.perf_counter() - begun),
         tables=(_stage_table(story.stages),),
         notes=_notes(story),
         section_titles={"executions": "Execution", "numbers": "In numbers", "transferred": "Grasps of the robot"},
-        section_texts={"executions": _EXECUTION_TEXT, "stages": _STAGES_TEXT, "transferred": _TRANSFER_TEXT},
+        section_texts={
+            "executions": _EXECUTION_TEXT,
+            "stages": _STAGES_TEXT,
+            "transferred": _TRANSFER_TEXT,
+            "times": "Wall time of each stage.",
+        },
     )
+
+
+def _times(story: DemonstrationStory, drawing_s: float) -> tuple[StageTime, ...]:
+    """Wall time of all stages; `drawing_s` of this page, beside what was drawn for it before."""
+    all_s = dict(story.demo.seconds) | dict(story.seconds)
+    all_s["drawing"] = all_s.get("drawing", 0.0) + drawing_s
+    return tuple(StageTime(stage=stage, wall_s=s) for stage, s in all_s.items())
 
 
 def _outcome(story: DemonstrationStory, robot: str) -> str:
@@ -122,11 +151,11 @@ def demonstration_figure(story: DemonstrationStory, say: Progress) -> Demonstrat
         return DemonstrationFigure(stages=story.stages, close_ups=close_ups(story.frames[shown], seen.layers[shown]))
     say("the video")
     several = len(story.frames) > 1
-    track = track_figure(demo, story.obj)
+    track = track_figure(demo, story.obj, story.names)
     moment = shown_frame(seen, demo)
     figure = DemonstrationFigure(
         stages=story.stages,
-        frames=strip_pictures(seen, None if track is None else track.gap_mm) if several else (),
+        frames=strip_pictures(seen, None if track is None else track.gap_mm, names=story.names) if several else (),
         animation=moving_overlay(seen) if several else b"",
         track=track if several else None,
         close_ups=close_ups(story.frames[moment], seen.layers[moment]),
@@ -134,10 +163,10 @@ def demonstration_figure(story: DemonstrationStory, say: Progress) -> Demonstrat
     if demo.X_OH is None or demo.q is None or demo.human is None:
         return figure
     say("the grasp")
-    up = np.array([0.0, 0.0, 1.0]) if demo.table_O is None else demo.table_O.normal
+    up_O = up_in_object(demo)
     return DemonstrationFigure(
         stages=figure.stages, frames=figure.frames, animation=figure.animation, track=figure.track,
-        close_ups=figure.close_ups, views=grasp_views(demo.human, story.obj, demo.X_OH, demo.q, up_O=up),
+        close_ups=figure.close_ups, views=grasp_views(demo.human, story.obj, demo.X_OH, demo.q, up_O=up_O),
         facts=_grasp_facts(demo),
     )  # fmt: skip
 
@@ -154,7 +183,7 @@ def drawn_frames(frames: Sequence[Frame], demo: Demonstration, obj: ObjectModel)
             fitted = track.grasp
         layers.append(
             HandLayers(
-                box=None if track is None else track.boxes[index],
+                box=None if track is None else _decided(track.boxes[index], track.side),
                 joints=None if track is None else track.seen[index],
                 fitted=fitted,
                 mesh=obj.mesh if known else None,
@@ -165,8 +194,13 @@ def drawn_frames(frames: Sequence[Frame], demo: Demonstration, obj: ObjectModel)
     return Demonstrated(frames=frames, layers=layers, moment=-1 if track is None else track.moment)
 
 
-def track_figure(demo: Demonstration, obj: ObjectModel) -> TrackFigure | None:
-    """The hand over the frames in numbers; None where it was fitted in none."""
+def _decided(box: HandBox | None, side: Side | None) -> HandBox | None:
+    """The box with the side that the whole video was decided for, not the frame's own guess."""
+    return replace(box, side=side, side_score=1.0) if box is not None and side else box
+
+
+def track_figure(demo: Demonstration, obj: ObjectModel, names: Sequence[str] = ()) -> TrackFigure | None:
+    """The hand over the frames (T), with their names where given, in numbers; None where it was fitted in none."""
     track = demo.track
     if track is None or demo.followed is None or not any(fitted is not None for fitted in track.frames):
         return None
@@ -185,8 +219,9 @@ def track_figure(demo: Demonstration, obj: ObjectModel) -> TrackFigure | None:
             step = np.linalg.norm(fitted.joints_C - before, axis=1).mean() / (index - last)
             moved[index] = 1e3 * float(step)
         before, last = fitted.joints_C, index
+    named = names[track.moment] if names and track.moment >= 0 else ""
     span = (min(track.still), max(track.still)) if len(track.still) > 1 else None
-    return TrackFigure(gap_mm=gap, moved_mm=moved, residual_mm=residual, moment=track.moment, span=span)
+    return TrackFigure(gap_mm=gap, moved_mm=moved, residual_mm=residual, moment=track.moment, span=span, named=named)
 
 
 def shown_transfer(story: DemonstrationStory) -> TransferList:
@@ -203,15 +238,25 @@ def shown_transfer(story: DemonstrationStory) -> TransferList:
     place = None if story.trial is None else executed_place(story.trial, demo)
     order = shown_order(len(result.grasps), place)
     at = None if place is None else order.index(place)
+    text = " ".join(_sentences(result.reason or _QUERY_TEXT, constraint_text(story.rules)))
     shown = transfer_list(
         _picked(result, order), demo.query, story.hand, story.obj,
-        title="shown by the person", text=result.reason or _QUERY_TEXT,
-        grasp=(as_person(demo.human), demo.X_OH, demo.q),
+        title="shown by the person", text=text,
+        grasp=(as_person(demo.human), demo.X_OH, demo.q), constraints=story.rules, up_O=up_in_object(demo),
     )  # fmt: skip
     if at is None:
         return shown
     done = replace(shown.grasps[at], reason=f"Carried out, no. {order[at] + 1}: {shown.grasps[at].reason}")
     return replace(shown, grasps=(*shown.grasps[:at], done, *shown.grasps[at + 1 :]))
+
+
+def _sentences(*texts: str) -> list[str]:
+    return [text[:1].upper() + text[1:].rstrip(".") + "." for text in texts if text]
+
+
+def up_in_object(demo: Demonstration) -> np.ndarray:
+    """(3,) what is up in the video, object frame; z where no table was seen."""
+    return np.array([0.0, 0.0, 1.0]) if demo.table_O is None else demo.table_O.normal
 
 
 def shown_order(count: int, place: int | None) -> list[int]:
@@ -279,7 +324,7 @@ def _grasp_facts(demo: Demonstration) -> tuple[tuple[str, str], ...]:
 
 
 def _stage_table(stages: Sequence[StageFigure]) -> Table:
-    words = {"ok": "OK", "failed": "FAILED", "not reached": "not reached"}
+    words = {"ok": "OK", "doubtful": "doubtful", "failed": "FAILED", "not reached": "not reached"}
     rows = tuple((s.name, words[s.verdict], s.reason or s.text) for s in stages)
     return Table(title="Stages", columns=("stage", "verdict", "what it came to"), rows=rows)
 
@@ -288,4 +333,5 @@ def _notes(story: DemonstrationStory) -> tuple[str, ...]:
     notes = [] if story.demo.track is None else list(dict.fromkeys(story.demo.track.reasons))
     if story.demo.transfer is not None and story.demo.transfer.reason:
         notes.append(story.demo.transfer.reason)
+    notes += [f"Constraint: {name}." for name in (story.rules.names if story.rules is not None else ())]
     return tuple(notes)

@@ -18,7 +18,7 @@ from neuralgrasps.report.demonstration_content import Picture
 from neuralgrasps.report.figures import fine_mesh, render_grasp, render_object
 from neuralgrasps.report.hand_overlay import HandLayers, Window, focus_window, render_hand_overlay
 from neuralgrasps.report.video import animation
-from neuralgrasps.report.views import best_direction
+from neuralgrasps.report.views import best_direction, upright
 
 STRIP = 6
 _CLOSE_M = 0.015  # decay of the closeness that is drawn: sharper than the maps that are compared
@@ -57,11 +57,14 @@ def strip_indices(has_hand: np.ndarray, moment: int, count: int = STRIP) -> list
     return sorted({int(i) for i in np.round(np.linspace(first, last, count))})
 
 
-def strip_pictures(seen: Demonstrated, gap_mm: np.ndarray | None = None, *, count: int = STRIP) -> tuple[Picture, ...]:
+def strip_pictures(
+    seen: Demonstrated, gap_mm: np.ndarray | None = None, *, count: int = STRIP, names: Sequence[str] | None = None
+) -> tuple[Picture, ...]:
     """Frames from the hand's entry to the grasp, with box, skeleton, fitted hand and object drawn over them.
 
     Args:
         gap_mm: (T,) from the hand to the object, nan where not known, for the captions.
+        count: frames, at most. names: (T,) what the frames are called; their numbers when None.
     """
     window = seen.window
     has_hand = np.array([layer.box is not None or layer.fitted is not None for layer in seen.layers])
@@ -73,7 +76,10 @@ def strip_pictures(seen: Demonstrated, gap_mm: np.ndarray | None = None, *, coun
         if layers.box is not None and layers.fitted is None:
             words = "hand found"
         found.append(
-            (f"frame {index}: {words}", _overlay(seen.frames[index], layers, window, _STRIP_SIZE, labels=False))
+            (
+                f"frame {names[index] if names else index}: {words}",
+                _overlay(seen.frames[index], layers, window, _STRIP_SIZE, labels=False),
+            )
         )
     return tuple(found)
 
@@ -85,7 +91,7 @@ def _distance_text(away_mm: float) -> str:
 
 
 def moving_overlay(seen: Demonstrated) -> bytes:
-    """The frames with the fitted hand as a looping WebP that rests on the grasp."""
+    """The frames with the fitted hand as a looping WebP that rests on the grasp, which is also its first picture."""
     last = seen.moment if seen.moment >= 0 else len(seen.frames) - 1
     step = max(1, -(-(last + 1) // _LOOP_FRAMES))
     indices = [*range(last % step, last + 1, step)]
@@ -95,7 +101,7 @@ def moving_overlay(seen: Demonstrated) -> bytes:
         layers = seen.layers[index]
         own = HandLayers(box=layers.box, fitted=layers.fitted, mesh=layers.mesh, X_CO=layers.X_CO)
         frames.append(_overlay(seen.frames[index], own, window, _LOOP_SIZE, labels=False))
-    return animation([*frames, *frames[-1:] * _REST], fps=_LOOP_FPS, size=_LOOP_SIZE)
+    return animation([*frames[-1:] * _REST, *frames], fps=_LOOP_FPS, size=_LOOP_SIZE)
 
 
 def close_ups(frame: Frame, layers: HandLayers) -> tuple[Picture, ...]:
@@ -156,19 +162,6 @@ def grasp_views(
 def as_person(hand: Hand) -> Hand:
     """A scaled or mirrored human hand under the name whose colour it gets; any other hand as it is."""
     return replace(hand, name="human") if hand.name.startswith("human") else hand
-
-
-def upright(up_O: np.ndarray) -> np.ndarray:
-    """(4, 4) X_UO: the object turned by the smallest angle so that `up_O` becomes z."""
-    a = np.asarray(up_O, float) / np.linalg.norm(up_O)
-    X = np.eye(4)
-    if a[2] < -1 + 1e-9:
-        X[:3, :3] = np.diag([1.0, -1.0, -1.0])
-        return X
-    v = np.cross(a, [0.0, 0.0, 1.0])
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    X[:3, :3] = np.eye(3) + cross + cross @ cross / (1 + a[2])
-    return X
 
 
 def _touched(hand: Hand, obj: ObjectModel, X_OH: np.ndarray, q: np.ndarray):  # type: ignore[no-untyped-def]

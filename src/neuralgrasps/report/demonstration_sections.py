@@ -11,7 +11,7 @@ from neuralgrasps.report.sections import PictureEncoder, facts_html
 from neuralgrasps.report.track_chart import track_svg
 
 Section = tuple[str, str, str]
-_CHIPS = {"ok": "✓ OK", "failed": "✗ FAILED", "not reached": "not reached"}
+_CHIPS = {"ok": "✓ OK", "doubtful": "? DOUBTFUL", "failed": "✗ FAILED", "not reached": "not reached"}
 _TRACK_TEXT = (
     "How far the hand is from the object, how far it moves from frame to frame, and how well the hand model fits the "
     "measured points. The grasp is where the hand touches and rests; gaps are frames in which no hand was found."
@@ -45,7 +45,7 @@ def _stages(stages: Sequence[StageFigure]) -> str:
 
 
 def _tone(stage: StageFigure) -> str:
-    return {"ok": " good", "failed": " bad", "not reached": ""}[stage.verdict]
+    return {"ok": " good", "doubtful": " doubt", "failed": " bad", "not reached": ""}[stage.verdict]
 
 
 def _shown(figure: DemonstrationFigure, pictures: PictureEncoder) -> str:

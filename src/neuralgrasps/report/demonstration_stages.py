@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from neuralgrasps.apply.demonstrate import Demonstration
 from neuralgrasps.apply.ordered_pick import place_of
 from neuralgrasps.evaluate.execute import Trial
-from neuralgrasps.report.demonstration_content import StageFigure
+from neuralgrasps.report.demonstration_content import StageFigure, Verdict
 from neuralgrasps.report.pose_page import percent_text
 
+SURE = 0.9  # a confidence below is a doubt
 _LENGTH_M = 0.252  # of the hand model at scale 1, wrist to middle fingertip
 
 STAGES = ("object", "detect", "joints", "size", "grasp", "transfer", "plan", "lift")
@@ -20,26 +23,51 @@ TITLES = {
 }  # fmt: skip
 
 
-def demonstration_stages(demo: Demonstration, trial: Trial | None, *, executed: bool) -> tuple[StageFigure, ...]:
+class Frames:
+    """What frames are called: "frame 12", by their names (T,) where given."""
+
+    def __init__(self, names: Sequence[str] | None) -> None:
+        self._names = names
+
+    def __call__(self, index: int) -> str:
+        return f"frame {index if self._names is None else self._names[index]}"
+
+
+def demonstration_stages(
+    demo: Demonstration, trial: Trial | None, *, executed: bool, names: Sequence[str] | None = None,
+    compiled: bool = False,
+) -> tuple[StageFigure, ...]:  # fmt: skip
     """Every stage up to the lift, or to the transfer when nothing was to be carried out.
 
     Args:
         trial: the robot's, or None when it came to none. executed: it was asked for.
+        names: (T,) what the frames are called; their numbers when None. compiled: planning time holds compiling.
     """
     failed, reason = failed_stage(demo, trial, executed=executed)
-    names = STAGES if executed else STAGES[: STAGES.index("transfer") + 1]
-    at = names.index(failed) if failed in names else len(names)
+    called = Frames(names)
+    stages = STAGES if executed else STAGES[: STAGES.index("transfer") + 1]
+    at = stages.index(failed) if failed in stages else len(stages)
     out = []
-    for number, name in enumerate(names):
+    for number, name in enumerate(stages):
         if number > at:
             out.append(StageFigure(name=TITLES[name], verdict="not reached"))
             continue
-        text = _TEXTS[name](demo) if name in _TEXTS else _robot_text(name, demo, trial)
+        text = _TEXTS[name](demo, called) if name in _TEXTS else _robot_text(name, demo, trial, compiled)
         if number == at:
             out.append(StageFigure(name=TITLES[name], text=text, verdict="failed", reason=reason))
         else:
-            out.append(StageFigure(name=TITLES[name], text=text))
+            verdict: Verdict = "doubtful" if _confidence(name, demo) < SURE else "ok"
+            out.append(StageFigure(name=TITLES[name], text=text, verdict=verdict))
     return tuple(out)
+
+
+def _confidence(name: str, demo: Demonstration) -> float:
+    """How sure a stage is of what it came to, 0 to 1; 1 where it does not say."""
+    if name == "object" and demo.followed is not None and demo.followed.pose is not None:
+        return float(demo.followed.pose.confidence)
+    if name == "size" and demo.track is not None and demo.track.grasp is not None:
+        return float(demo.track.grasp.confidence)
+    return 1.0
 
 
 def failed_stage(demo: Demonstration, trial: Trial | None, *, executed: bool) -> tuple[str, str]:
@@ -56,17 +84,17 @@ def failed_stage(demo: Demonstration, trial: Trial | None, *, executed: bool) ->
     return ("", "") if trial.success_retry else ("lift", f"{trial.cause}: {trial.detail}")
 
 
-def _object_text(demo: Demonstration) -> str:
+def _object_text(demo: Demonstration, called: Frames) -> str:
     followed = demo.followed
     if followed is None or followed.pose is None:
         return "not found"
     if followed.reason:
         return f"at most {percent_text(followed.pose.confidence)} sure"
-    text = f"{percent_text(followed.pose.confidence)} sure, in frame {followed.found_in}"
-    return text if followed.lost_from is None else f"{text}; lost from frame {followed.lost_from}"
+    text = f"{percent_text(followed.pose.confidence)} sure, in {called(followed.found_in)}"
+    return text if followed.lost_from is None else f"{text}; lost from {called(followed.lost_from)}"
 
 
-def _hand_text(demo: Demonstration) -> str:
+def _hand_text(demo: Demonstration, _: Frames) -> str:
     track = demo.track
     if track is None:
         return "not found"
@@ -76,7 +104,7 @@ def _hand_text(demo: Demonstration) -> str:
     return f"{track.side}, found in {looked} of {len(track.boxes)} frames"
 
 
-def _joints_text(demo: Demonstration) -> str:
+def _joints_text(demo: Demonstration, _: Frames) -> str:
     track = demo.track
     seen = [] if track is None else [s for s in track.seen if s is not None]
     if not seen:
@@ -85,26 +113,28 @@ def _joints_text(demo: Demonstration) -> str:
     return f"21, mean weight {weight:.2f}, by {seen[0].source}"
 
 
-def _fit_text(demo: Demonstration) -> str:
+def _fit_text(demo: Demonstration, _: Frames) -> str:
     track = demo.track
     if track is None or not np.isfinite(track.scale):
         return "not fitted"
     fits = [f.cloud_rms_m for f in track.frames if f is not None and np.isfinite(f.cloud_rms_m)]
     off = track.grasp.cloud_rms_m if track.grasp is not None else float(np.median(fits)) if fits else np.nan
     near = f", {1e3 * off:.1f} mm off the points" if np.isfinite(off) else ""
+    if track.grasp is not None and track.grasp.confidence < SURE:
+        near += f", {percent_text(track.grasp.confidence)} sure"
     return f"hand of {1e3 * _LENGTH_M * track.scale:.0f} mm{near}"
 
 
-def _grasp_text(demo: Demonstration) -> str:
+def _grasp_text(demo: Demonstration, called: Frames) -> str:
     track = demo.track
     if track is None or track.grasp is None:
-        return "none"
+        return ""
     touching = f"; {', '.join(track.contacts)} touch" if track.contacts else ""
     fused = f", {len(track.still)} frames fused" if len(track.still) > 1 else ""
-    return f"in frame {track.moment}{fused}{touching}"
+    return f"in {called(track.moment)}{fused}{touching}"
 
 
-def _transfer_text(demo: Demonstration) -> str:
+def _transfer_text(demo: Demonstration, _: Frames) -> str:
     found = demo.transfer
     if found is None or not len(found.grasps):
         return "no grasp"
@@ -118,14 +148,14 @@ _TEXTS = {
 }  # fmt: skip
 
 
-def _robot_text(name: str, demo: Demonstration, trial: Trial | None) -> str:
+def _robot_text(name: str, demo: Demonstration, trial: Trial | None, compiled: bool) -> str:
     attempt = None if trial is None else trial.attempts[0]
     if trial is None or attempt is None or attempt.plan is None or attempt.pick is None:
-        return "none"
+        return ""
     if name == "plan":
         count = 0 if demo.grasps is None else len(demo.grasps)
         place = place_of(attempt.plan.index, count) + 1 if count else 0
-        return f"grasp no. {place}, in {1e3 * attempt.pick.cpu_s:.0f} ms"
+        return f"grasp no. {place}, in {1e3 * attempt.pick.cpu_s:.0f} ms{' with compiling' if compiled else ''}"
     if trial.success_retry:
         lifted = next(a for a in trial.attempts if a.success)
         later = "" if trial.success else ", at the second attempt"

@@ -271,9 +271,9 @@ def _labels(
     found = []
     if layers.box is not None:
         b = layers.box
-        doubt = "" if b.side_score >= _UNSURE else "?"
         ends = (np.array([[b.u_min, b.v_min], [b.u_max, b.v_max]]) - corner + 0.5) * scale
-        text = f"{b.side}{doubt} hand, {100 * b.score:.0f} %"
+        side = f"{b.side} hand" if b.side_score >= _UNSURE else f"hand, {b.side}?"
+        text = f"{side}, box {100 * b.score:.0f} %"
         found.append(Label(text=text, colour=BOX_COLOUR, target=_area(ends, shape)))
     elif layers.fitted is not None:
         uv = project(layers.fitted.joints_C, k)

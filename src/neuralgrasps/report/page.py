@@ -49,9 +49,9 @@ _TEXTS = {
     "direction; overlap is how deep hand and object cut into each other; slip is how far the object "
     "moved in the hand.",
     "transferred": "On the left of each card the grasp, on the right how close the hand comes to every point of the "
-    "object, both from the side that shows most of the query's contacts and the first grasp's. Similarity compares "
-    "the contact maps over the whole surface: 1 is the same, 0 the farthest of the known grasps. Held means that the "
-    "hand kept the object throughout the physics trial. ε is the largest disturbance the contacts resist in any "
+    "object, all from the one side that shows most of the query's hand and contacts and the first grasps'. Similarity "
+    "compares the contact maps over the whole surface: 1 is the same, 0 the farthest of the known grasps. Held means "
+    "that the hand kept the object throughout the physics trial. ε is the largest disturbance the contacts resist in any "
     "direction; moved is how far the object went in the hand.",
     "feasibility": "Each cell shows the first grasp of a pair, how many were found of those wanted, and the share of "
     "the grasps tried in physics that held, before any was dropped.",
@@ -189,7 +189,8 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
     if report.listings:
         sections.append(("listings", "To copy", "".join(_listing(listing) for listing in report.listings)))
     if report.times:
-        sections.append(("times", "Times and memory", times_section(report.times)))
+        title = "Times and memory" if any(t.peak_memory_mib is not None for t in report.times) else "Times"
+        sections.append(("times", title, times_section(report.times)))
     if report.notes:
         items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
         sections.append(("notes", "Notes", f'<ul class="notes">{items}</ul>'))

@@ -112,19 +112,17 @@ def reconstruction_table(rows: Sequence[ModelRow]) -> Table:
 
 
 def times_section(times: Sequence[StageTime]) -> str:
-    columns = ("stage", "wall s", "CPU s", "peak memory, MiB")
-    rows: list[tuple[Cell, ...]] = [
-        (t.stage, float(t.wall_s), None if t.cpu_s is None else float(t.cpu_s), _whole(t.peak_memory_mib))
-        for t in times
-    ]
+    """A table and a chart; processor time and memory only where some stage has them."""
     cpu = [t.cpu_s for t in times if t.cpu_s is not None]
     peaks = [t.peak_memory_mib for t in times if t.peak_memory_mib is not None]
-    total = (
-        "all",
-        float(sum(t.wall_s for t in times)),
-        float(sum(cpu)) if cpu else None,
-        _whole(max(peaks)) if peaks else None,
-    )
+    columns = ("stage", "wall s", *(("CPU s",) if cpu else ()), *(("peak memory, MiB",) if peaks else ()))
+
+    def row(stage: str, wall_s: float, cpu_s: float | None, peak: float | None) -> tuple[Cell, ...]:
+        measured: tuple[Cell, ...] = (None if cpu_s is None else float(cpu_s),) if cpu else ()
+        return (stage, float(wall_s), *measured, *((_whole(peak),) if peaks else ()))
+
+    rows = [row(t.stage, t.wall_s, t.cpu_s, t.peak_memory_mib) for t in times]
+    total = row("all", sum(t.wall_s for t in times), sum(cpu), max(peaks, default=None))
     chart = bars_svg([t.stage for t in times], [t.wall_s for t in times], "s", label="wall time of each stage")
     table = Table(title="", columns=columns, rows=(*rows, total), strong_rows=(len(rows),))
     return (

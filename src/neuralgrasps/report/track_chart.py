@@ -83,9 +83,9 @@ def _span(track: TrackFigure, x: np.ndarray, height: int) -> str:
 def _marker(track: TrackFigure, x: np.ndarray, height: int) -> str:
     if not 0 <= track.moment < len(x):
         return ""
-    at = x[track.moment]
+    at, name = x[track.moment], escape(track.named or str(track.moment))
     anchor = "end" if at > 0.85 * _WIDTH else "start" if at < 0.25 * _WIDTH else "middle"
     return (
         f'<line class="moment" x1="{at:.1f}" x2="{at:.1f}" y1="{_TOP - 6}" y2="{height - _BOTTOM}"/>'
-        f'<text class="name" x="{at:.1f}" y="{_TOP - 11}" text-anchor="{anchor}">grasp, frame {track.moment}</text>'
+        f'<text class="name" x="{at:.1f}" y="{_TOP - 11}" text-anchor="{anchor}">grasp, frame {name}</text>'
     )

@@ -1,8 +1,9 @@
-"""Pictures of a transfer: query and grasps beside their contact maps, from the side that shows most of the query's."""
+"""Pictures of a transfer: query and grasps beside their contact maps, all from the side where most of them is seen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,63 +14,28 @@ from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.primitives import sphere_mesh
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.grasps.contact_map import contact_map_packed
-from neuralgrasps.grasps.kind import finger_of_link
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.hands.packed import pack_shapes
-from neuralgrasps.hands.parts import part_distances
-from neuralgrasps.hands.surface import hand_part_meshes
-from neuralgrasps.kinematics.forward_kernels import forward_fast
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.report.contact_views import contact_direction
-from neuralgrasps.report.figures import SIZE, fine_mesh, object_surface, posed_hand_surfaces, render_contact_map
+from neuralgrasps.report.figures import (
+    SIZE,
+    fine_mesh,
+    object_surface,
+    posed_hand_surfaces,
+    render_object,
+    values_at_vertices,
+)
 from neuralgrasps.report.palette import linear_rgb, mix
+from neuralgrasps.report.seen_view import Posed, seen_direction
 from neuralgrasps.report.shading import Style, Surface, shade
 from neuralgrasps.report.transfer_content import TransferList, TransferredGrasp
-from neuralgrasps.report.views import frame_camera
+from neuralgrasps.report.views import frame_camera, upright
 
 SHOWN = 12
-TOUCHED = 0.6  # closeness from which a point of the object counts as touched, for the choice of the view
 FREE_COLOUR, ONLY_COLOUR = "#c2412f", "#2f8f5b"
 _POINTS_SHOWN, _POINT_COLOUR = 400, "#b3372b"
 _FEW, _FEW_M, _MANY_M = 30, 0.0035, 0.0015
-_APART = 1000  # more than fingers or contacts of one
-_CONTACTS = 40  # points of the object that stand for all that is touched, for the choice of the view
-
-
-Posed = tuple[Hand, np.ndarray, np.ndarray]  # a hand, X_OH (4, 4) and q (J,)
-
-
-def touched_view(obj: ObjectModel, touches: Sequence[tuple[np.ndarray, Posed | None]]) -> np.ndarray:
-    """(3,) direction towards the camera that shows most of what contact maps touch, object frame.
-
-    Args:
-        touches: contact maps (P,) at `obj.points_O`, each with its hand where that is known; every finger counts alike,
-            and the view is one that no hand stands in.
-    """
-    meshes: list[Mesh] = []
-    owners: list[int] = []
-    points, fingers = [], []
-    for k, (closeness, posed) in enumerate(touches):
-        touched = np.flatnonzero(closeness >= min(TOUCHED, float(closeness.max())))
-        chosen = obj.points_O[touched[farthest_points(obj.points_O[touched], min(_CONTACTS, len(touched)))]]
-        points.append(chosen)
-        if posed is None:
-            fingers.append(k * _APART + np.arange(len(chosen)))
-            continue
-        hand, X_OH, q = posed
-        owner = k * _APART + finger_of_link(hand)[[part.link for part in hand.parts]]
-        meshes += [part.transformed(X_OH) for part in hand_part_meshes(hand, q, segments=8)]
-        owners += owner.tolist()
-        fingers.append(owner[_nearest_part(posed, chosen)])
-    return contact_direction(meshes, owners, obj.mesh, np.concatenate(points), np.concatenate(fingers))
-
-
-def _nearest_part(posed: Posed, points_O: np.ndarray) -> np.ndarray:
-    """(M,) which part of a hand is nearest to each point."""
-    hand, X_OH, q = posed
-    X_OL = X_OH @ forward_fast(hand.tree, q[None])[0]
-    far = [part_distances(part, (points_O - X_OL[part.link, :3, 3]) @ X_OL[part.link, :3, :3]) for part in hand.parts]
-    return np.argmin(far, axis=0)
+_CHOSEN_BY = 3  # grasps that the view is chosen by, after the query
 
 
 def marked_object(obj: ObjectModel, constraints: GraspConstraints | None) -> Surface:
@@ -95,9 +61,26 @@ def point_surface(points_O: np.ndarray) -> list[Surface]:
     return [Surface(mesh=balls, colour=linear_rgb(_POINT_COLOUR), gloss=0.1)]
 
 
-def _picture(surfaces: Sequence[Surface], view: np.ndarray, size: tuple[int, int] = SIZE) -> np.ndarray:
-    X_WC, intrinsics = frame_camera(np.concatenate([s.mesh.vertices for s in surfaces]), view, size)
-    return shade(surfaces, X_WC, intrinsics, style=Style())
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Sight:
+    """How all cards of a page are drawn: object turned upright by `X_UO` (4, 4), seen from `view` (3,) there."""
+
+    X_UO: np.ndarray
+    view: np.ndarray
+
+    def picture(self, surfaces: Sequence[Surface]) -> np.ndarray:
+        turned = [self._turned(surface) for surface in surfaces]
+        X_WC, intrinsics = frame_camera(np.concatenate([s.mesh.vertices for s in turned]), self.view, SIZE)
+        return shade(turned, X_WC, intrinsics, style=Style())
+
+    def contact_map(self, obj: ObjectModel, values: np.ndarray) -> np.ndarray:
+        mesh = fine_mesh(obj.mesh)
+        shown = values_at_vertices(mesh, obj.points_O, values)
+        return render_object(mesh.transformed(self.X_UO), vertex_values=shown, view=self.view)
+
+    def _turned(self, surface: Surface) -> Surface:
+        caster = None if surface.caster is None else surface.caster.transformed(self.X_UO)
+        return replace(surface, mesh=surface.mesh.transformed(self.X_UO), caster=caster)
 
 
 def transfer_list(
@@ -111,6 +94,7 @@ def transfer_list(
     grasp: Posed | None = None,
     points_O: np.ndarray | None = None,
     constraints: GraspConstraints | None = None,
+    up_O: np.ndarray | None = None,
     shown: int = SHOWN,
     progress: Callable[[int, int], None] | None = None,
 ) -> TransferList:
@@ -120,29 +104,51 @@ def transfer_list(
         title, text: what the query is, in a word and in a line.
         grasp: hand, X_OH (4, 4) and q (J,) of the query, where it is one; points_O: (M, 3) of the query, else.
         constraints: tint the object, and measure how far off the grasps are from what is kept free.
+        up_O: (3,) unit vector that points to the sky, object frame; None: as the constraints say, else z.
         shown: grasps, at most. progress: called with (drawn, to draw).
     """
     count = min(shown, len(result.grasps))
     asked = point_surface(np.zeros((0, 3)) if points_O is None else points_O) if grasp is None else _hand(grasp)
     kept = result.grasps[:count]
     maps = contact_map_packed(obj.points_O, pack_shapes(hand), kept.X_OH, kept.q, radius=query.radius_m)
-    best = [(maps[0], (hand, kept.X_OH[0], kept.q[0]))] if count else []
-    view, thing = touched_view(obj, [(query.contact_map, grasp), *best]), marked_object(obj, constraints)
+    best = [(maps[i], (hand, kept.X_OH[i], kept.q[i])) for i in range(min(_CHOSEN_BY, count))]
+    sight, thing = _sight(obj, [(query.contact_map, grasp), *best], up_O, constraints), marked_object(obj, constraints)
     free = np.full(count, np.inf) if constraints is None else constraints.clearance(hand, kept.X_OH, kept.q)
     drawn = []
     for i in range(count):
         if progress is not None:
             progress(i, count)
         pictures = (
-            _picture([*_hand((hand, kept.X_OH[i], kept.q[i])), thing], view),
-            render_contact_map(obj, maps[i], view=view),
+            sight.picture([*_hand((hand, kept.X_OH[i], kept.q[i])), thing]),
+            sight.contact_map(obj, maps[i]),
         )
         drawn.append(_transferred(result, i, pictures, None if np.isinf(free[i]) else 1e3 * float(free[i])))
     return TransferList(
-        object=obj.name, hand=hand.name, title=title, text=text, image=_picture([*asked, thing], view),
-        contacts=render_contact_map(obj, query.contact_map, view=view), grasps=tuple(drawn),
+        object=obj.name, hand=hand.name, title=title, text=text, image=sight.picture([*asked, thing]),
+        contacts=sight.contact_map(obj, query.contact_map), grasps=tuple(drawn),
         query_hand="" if grasp is None else grasp[0].name,
     )  # fmt: skip
+
+
+def constraint_text(constraints: GraspConstraints | None) -> str:
+    """What is asked besides, and its colours in the pictures; "" when nothing is."""
+    if constraints is None or not constraints:
+        return ""
+    marked = (("kept free: red", constraints.keep_free), ("to be touched only: green", constraints.only_region))
+    colours = ", ".join(words for words, regions in marked if regions)
+    return f"Asked besides: {constraints}{f' ({colours})' if colours else ''}."
+
+
+def _sight(
+    obj: ObjectModel, cards: Sequence[tuple[np.ndarray, Posed | None]], up_O: np.ndarray | None,
+    constraints: GraspConstraints | None,
+) -> _Sight:  # fmt: skip
+    """The object as it stands, and the one view for all cards."""
+    if up_O is None:
+        support = None if constraints is None else constraints.support
+        up_O = np.array([0.0, 0.0, 1.0]) if support is None else support.plane.normal
+    X_UO = upright(up_O)
+    return _Sight(X_UO=X_UO, view=seen_direction(obj, cards, X_UO))
 
 
 def _hand(posed: Posed) -> list[Surface]:

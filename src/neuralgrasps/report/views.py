@@ -25,6 +25,19 @@ def view_direction(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
     return np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
 
 
+def upright(up_O: np.ndarray) -> np.ndarray:
+    """(4, 4) X_UO: the object turned by the smallest angle so that `up_O` becomes z."""
+    a = np.asarray(up_O, float) / np.linalg.norm(up_O)
+    X = np.eye(4)
+    if a[2] < -1 + 1e-9:
+        X[:3, :3] = np.diag([1.0, -1.0, -1.0])
+        return X
+    v = np.cross(a, [0.0, 0.0, 1.0])
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    X[:3, :3] = np.eye(3) + cross + cross @ cross / (1 + a[2])
+    return X
+
+
 def frame_camera(
     points: np.ndarray, direction: np.ndarray, size: tuple[int, int], *, margin: float = 0.07
 ) -> tuple[np.ndarray, Intrinsics]:
