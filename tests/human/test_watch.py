@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.human.look import LookConfig, coarse_frames
+from neuralgrasps.human.hand_cloud import CloudConfig
+from neuralgrasps.human.hand_video import HandVideo
+from neuralgrasps.human.look import LookConfig, coarse_frames, look
 from neuralgrasps.human.seen import SeenJoints
 from neuralgrasps.human.watch import watch_hand
+from neuralgrasps.perception.frame import camera_poses
 
 STILL_FROM = 9  # of `grasp_video`
 
@@ -97,9 +100,48 @@ def test_one_frame_is_enough_but_less_sure(grasp_video, true_eyes):
 
 
 def test_an_unknown_object_leaves_contact_open(grasp_video, true_eyes):
-    track = _watched(grasp_video, true_eyes(video=grasp_video), obj=None, X_CO=None)
-    assert track.stage == "" and track.contacts == ()
-    assert any("not known" in reason for reason in track.reasons)
+    sure = _watched(grasp_video, true_eyes(video=grasp_video)).grasp.confidence
+    for unknown in ({"obj": None}, {"X_CO": None}):
+        track = _watched(grasp_video, true_eyes(video=grasp_video), **unknown)
+        assert track.stage == "" and track.contacts == ()
+        assert any("not known" in reason for reason in track.reasons)
+        assert track.grasp.confidence < 0.8 * sure
+
+
+def _lost(video, *, known):
+    X_CO = np.full_like(video.X_CO, np.nan)
+    X_CO[known] = video.X_CO[known]
+    return X_CO
+
+
+@pytest.mark.parametrize("known", [slice(0, 13), slice(18, None)])
+def test_the_moment_is_one_where_the_object_is_known(grasp_video, true_eyes, known):
+    X_CO = _lost(grasp_video, known=known)
+    track = _watched(grasp_video, true_eyes(video=grasp_video), X_CO=X_CO)
+    assert track.stage == "" and "thumb" in track.contacts
+    assert np.isfinite(X_CO[[track.moment, *track.still]]).all()
+    assert grasp_video.surface_error(track) < 0.006
+
+
+@pytest.mark.parametrize(
+    ("known", "why"),
+    [
+        (slice(0, 6), "the object was lost from frame 6, before the hand held still in frame"),
+        (slice(0, 0), "the object's pose is not known in any frame"),
+    ],
+)
+def test_an_object_lost_before_the_hand_keeps_still(grasp_video, true_eyes, known, why):
+    track = _watched(grasp_video, true_eyes(video=grasp_video), X_CO=_lost(grasp_video, known=known))
+    assert track.stage == "grasp" and track.reason.startswith(why)
+    assert track.grasp is None and track.moment == -1
+
+
+def test_a_still_hand_without_an_object_does_not_count_as_touching(grasp_video, true_eyes):
+    """It keeps still far from the object for some frames, and on after that is lost."""
+    X_CO = _lost(grasp_video, known=slice(0, 13))
+    X_CO[:, :3, 3] += 0.25 * X_CO[:, :3, 0]
+    track = _watched(grasp_video, true_eyes(video=grasp_video), X_CO=X_CO)
+    assert track.stage == "grasp" and "never touches the object" in track.reason
 
 
 def test_no_hand(grasp_video, true_eyes):
@@ -155,6 +197,71 @@ def test_a_second_hand_far_from_the_object_is_let_be(grasp_video, true_eyes):
     track = _watched(grasp_video, _TwoHands(true_eyes(video=grasp_video), -1.2))
     assert track.stage == "" and any("second hand" in reason for reason in track.reasons)
     assert grasp_video.surface_error(track) < 0.004
+
+
+class _InTurn:
+    """The hand's box but in a gap; after it moved by `shift` pixels, `step` more along the rows a frame, resized."""
+
+    def __init__(self, eyes, *, gap, shift=(0.0, 0.0), side="right", step=0.0, scale=1.0):
+        self.eyes, self.gap, self.shift, self.side, self.step, self.scale = eyes, gap, shift, side, step, scale
+
+    def find(self, frame):
+        number, boxes = int(frame.name), self.eyes.find(frame)
+        if number < self.gap[0]:
+            return boxes
+        return [self._other(box, number - self.gap[1]) for box in boxes] if number >= self.gap[1] else []
+
+    def _other(self, box, after):
+        du, dv = self.shift[0] + self.step * after, self.shift[1]
+        u, v = (box.u_min + box.u_max) / 2 + du, (box.v_min + box.v_max) / 2 + dv
+        a, b = self.scale * (box.u_max - box.u_min) / 2, self.scale * (box.v_max - box.v_min) / 2
+        return replace(box, u_min=u - a, u_max=u + a, v_min=v - b, v_max=v + b, side=self.side)
+
+
+def _looked(video, finder, **more):
+    """The video with the boxes that `look` puts in, and why not."""
+    given = HandVideo(
+        frames=video.frames, reader=None, obj=video.obj, X_CO=video.X_CO, X_WC=camera_poses(video.frames), table=None,
+        cloud_config=CloudConfig(),
+    )  # fmt: skip
+    return given, look(given, finder, None, more.get("side"), LookConfig())
+
+
+ASIDE = (130.0, 0.0)  # 0.26 m, too far for one path
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_hand_lost_for_a_while_is_joined(grasp_video, true_eyes, known):
+    """It comes back so far away that it is another path of boxes."""
+    film = grasp_video if known else replace(grasp_video, X_CO=np.full_like(grasp_video.X_CO, np.nan))
+    video, reason = _looked(film, _InTurn(true_eyes(video=film), gap=(14, 18), shift=ASIDE))
+    assert reason == "" and not video.notes
+    assert set(video.boxes) == {*range(3, 14), *range(18, 24)}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"gap": (14, 18), "shift": ASIDE, "side": "left"},
+        {"gap": (18, 18), "shift": ASIDE},
+        {"gap": (14, 18), "scale": 4.6, "step": 20.0},
+    ],
+)
+def test_another_hand_later_on_is_not_the_same(grasp_video, true_eyes, change):
+    """By its side, by its place, or by its size: the one at the object is followed."""
+    video, reason = _looked(grasp_video, _InTurn(true_eyes(video=grasp_video), **change))
+    assert reason == "" and set(video.boxes) == set(range(3, change["gap"][0]))
+    assert any("another hand is seen in frames 18 to 23" in note for note in video.notes)
+
+
+def test_two_hands_in_turn_at_the_object_cannot_be_told_apart(grasp_video, true_eyes):
+    eyes = _InTurn(true_eyes(video=grasp_video), gap=(17, 17), shift=(70.0, 106.0), side="left")
+    video, reason = _looked(grasp_video, eyes)
+    assert "two hands are seen one after the other, the other one in frames 17 to 23" in reason
+    track = watch_hand(grasp_video.frames, detector=eyes, reader=eyes.eyes, obj=grasp_video.obj, X_CO=grasp_video.X_CO)
+    assert track.stage == "detect" and "two hands" in track.reason and track.grasp is None
+    video, reason = _looked(grasp_video, eyes, side="right")
+    assert reason == "" and max(video.boxes) == 16
 
 
 def test_no_still_phase(grasp_video, true_eyes):

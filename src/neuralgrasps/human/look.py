@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.human.hand_video import HandVideo
 from neuralgrasps.human.seen import HandBox, SeenJoints, Side
-from neuralgrasps.human.sighting import BoxPath, HandFinder, box_depth, joints_box, linked_paths
+from neuralgrasps.human.sighting import BoxPath, HandFinder, box_depth, joints_box, linked_paths, side_vote
 from neuralgrasps.perception.frame import Frame
 
 _LEAST_MEASURED = 0.2  # share of the pixels in the middle of the hand's boxes that must have a depth
@@ -19,6 +19,11 @@ _SECOND = 0.4  # score of a second hand over the first one's
 _AS_CLEAR = 0.6  # weight of the joints over the usual one, from which on a hand that was not detected is there
 _LEAP_M = 0.08
 _HOLDING_M = 0.15  # a box's middle this near to the object's surface may hold it
+_JUMP_M, _SPEED_M, _FARTHEST_JUMP_M = 0.15, 0.05, 0.6  # a lost hand comes back so near, plus so much per frame; at most
+_RESIZED = 3.0  # boxes of a hand differ by less in size
+_SURE_VOTE = 0.2  # of the side, see `side_vote`
+_RESTING, _RESTING_M = 3, 0.03  # a hand whose boxes in so many frames looked at stay within this keeps still
+_USUAL_M = 0.6  # distance of a hand where it is not measured
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,8 +72,8 @@ def look(
         )
     if rival is not None:
         video.notes.append("a second hand is seen; the one nearer to the object was followed.")
-    video.boxes.update(_joined(first, rest))
-    return _depth_trouble(video, config)
+    video.boxes.update(_joined(video, first, rest))
+    return _other_in_turn(video, rest) or _depth_trouble(video, config)
 
 
 def followed_frames(video: HandVideo, config: LookConfig) -> list[int]:
@@ -125,7 +130,7 @@ def _chosen_path(video: HandVideo, paths: list[BoxPath], side: Side | None) -> t
     def rank(path: BoxPath) -> tuple[float, float]:
         other = sum(b.side != side and b.side_score > 0.7 for b in path.boxes.values()) if side else 0
         worth = path.score * (0.1 if 2 * other > len(path.boxes) else 1.0)
-        near = _object_distance(video, path)
+        near = _object_distance(video, path.boxes)
         return worth * (1.0 if near < _HOLDING_M else 0.3), worth
 
     ordered = sorted(paths, key=rank, reverse=True)
@@ -148,36 +153,101 @@ def _rival(first: BoxPath, rest: Sequence[BoxPath]) -> BoxPath | None:
 
 def _both_hold(video: HandVideo, first: BoxPath, rival: BoxPath) -> bool:
     """Whether it cannot be told by the object which of two hands is meant."""
-    return (_object_distance(video, first) < _HOLDING_M) == (_object_distance(video, rival) < _HOLDING_M)
+    one, two = (_object_distance(video, path.boxes) < _HOLDING_M for path in (first, rival))
+    return one == two
 
 
-def _joined(first: BoxPath, rest: Sequence[BoxPath]) -> dict[int, HandBox]:
-    """The boxes of a path, and of others that are of no frame of it: the same hand, lost for a while."""
+def _joined(video: HandVideo, first: BoxPath, rest: Sequence[BoxPath]) -> dict[int, HandBox]:
+    """The boxes of a path, and of others at other times that may be the same hand, lost for a while."""
     boxes = dict(first.boxes)
     for path in rest:
-        if not set(path.boxes) & set(boxes):
+        if not set(path.boxes) & set(boxes) and _same_hand(video, boxes, path.boxes):
             boxes.update(path.boxes)
     return dict(sorted(boxes.items()))
 
 
-def _object_distance(video: HandVideo, path: BoxPath) -> float:
-    """Least distance of the middle of a path's boxes to the object's surface, about, metres; inf where not known."""
-    least = np.inf
-    for n, box in path.boxes.items():
-        held, z = video.held(n), box_depth(video.frames[n], box)
-        if held is None or not (z > 0).any():
+def _same_hand(video: HandVideo, one: dict[int, HandBox], two: dict[int, HandBox]) -> bool:
+    """Whether boxes of different frames can be one hand: by side where that is sure, by size, and by place and time."""
+    votes = side_vote(list(one.values())), side_vote(list(two.values()))
+    if min(votes) < -_SURE_VOTE and max(votes) > _SURE_VOTE:
+        return False
+    sizes = [np.median([_size(video, n, box) for n, box in boxes.items()]) for boxes in (one, two)]
+    if max(sizes) > _RESIZED * min(sizes):
+        return False
+    numbers = sorted({*one, *two})
+    for n, m in itertools.pairwise(numbers):
+        if (n in one) == (m in one):
             continue
-        middle = _box_middle(video.frames[n].intrinsics, box, float(np.median(z[z > 0])))
+        a, b = (_place_in_world(video, k, one.get(k) or two[k]) for k in (n, m))
+        if np.linalg.norm(a - b) > min(_JUMP_M + _SPEED_M * (m - n), _FARTHEST_JUMP_M):
+            return False
+    return True
+
+
+def _other_in_turn(video: HandVideo, rest: Sequence[BoxPath]) -> str:
+    """Why the hand that was chosen may not be the grasping one: another is seen before it or after it; or ""."""
+    for path in rest:
+        if len(path.boxes) < 2 or set(path.boxes) & set(video.boxes):
+            continue
+        frames = f"frames {min(path.boxes)} to {max(path.boxes)}"
+        if _rests_at_object(video, video.boxes) and _rests_at_object(video, path.boxes):
+            return (
+                f"two hands are seen one after the other, the other one in {frames}, and both keep still at the "
+                "object: show one hand, leave out the frames of the other, or say which `side`."
+            )
+        video.notes.append(f"another hand is seen in {frames}; the one that is nearer to the object, or seen more "
+                           "clearly, was followed.")  # fmt: skip
+    return ""
+
+
+def _rests_at_object(video: HandVideo, boxes: dict[int, HandBox]) -> bool:
+    """Whether a hand keeps still near the object for some of its frames."""
+    numbers = sorted(boxes)
+    places = np.array([_place_in_world(video, n, boxes[n]) for n in numbers])
+    for k in range(len(numbers) - _RESTING + 1):
+        few = slice(k, k + _RESTING)
+        still = np.linalg.norm(places[few] - places[few].mean(axis=0), axis=1).max() < _RESTING_M
+        if still and _object_distance(video, {n: boxes[n] for n in numbers[few]}) < _HOLDING_M:
+            return True
+    return False
+
+
+def _object_distance(video: HandVideo, boxes: dict[int, HandBox]) -> float:
+    """Least distance of the middle of boxes to the object's surface, about, metres; inf where not known."""
+    least = np.inf
+    for n, box in boxes.items():
+        held = video.held(n)
+        if held is None or not (box_depth(video.frames[n], box) > 0).any():
+            continue
         obj, X_CO = held
         radius = 0.5 * float(np.linalg.norm(obj.mesh.extents))
         centre = X_CO[:3, :3] @ obj.mesh.bounds.mean(axis=0) + X_CO[:3, 3]
-        least = min(least, float(np.linalg.norm(middle - centre)) - radius)
+        least = min(least, float(np.linalg.norm(_place(video, n, box) - centre)) - radius)
     return least
 
 
-def _box_middle(k: Intrinsics, box: HandBox, z: float) -> np.ndarray:
+def _place(video: HandVideo, number: int, box: HandBox) -> np.ndarray:
+    """(3,) the middle of a box in its camera, metres; at a usual distance where no depth was measured."""
+    k, z = video.frames[number].intrinsics, _distance(video, number, box)
     u, v = (box.u_min + box.u_max) / 2, (box.v_min + box.v_max) / 2
     return np.array([(u - k.cx) / k.fx * z, (v - k.cy) / k.fy * z, z])
+
+
+def _place_in_world(video: HandVideo, number: int, box: HandBox) -> np.ndarray:
+    X = video.X_WC[number]
+    return np.asarray(X[:3, :3] @ _place(video, number, box) + X[:3, 3])
+
+
+def _size(video: HandVideo, number: int, box: HandBox) -> float:
+    """The mean side of a box, about, metres."""
+    k = video.frames[number].intrinsics
+    area = (box.u_max - box.u_min) / k.fx * (box.v_max - box.v_min) / k.fy
+    return _distance(video, number, box) * float(np.sqrt(max(area, 1e-9)))
+
+
+def _distance(video: HandVideo, number: int, box: HandBox) -> float:
+    z = box_depth(video.frames[number], box)
+    return float(np.median(z[z > 0])) if (z > 0).any() else _USUAL_M
 
 
 def _depth_trouble(video: HandVideo, config: LookConfig) -> str:
