@@ -89,6 +89,7 @@ def demonstrate(
     """
     from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.apply.demonstrate_rules import rules_from_text
+    from neuralgrasps.cli.compiling import WORTH_SAYING_S
     from neuralgrasps.cli.demonstrate_files import write_demonstrated
     from neuralgrasps.cli.demonstrate_show import demonstration_record, show_demonstration
     from neuralgrasps.report.demonstration_page import DemonstrationStory
@@ -109,8 +110,15 @@ def demonstrate(
     if demo.stage == "transfer" and bound is not None:
         demo = replace(demo, reason=_reason_with(terminal, demo, obj, robot_hand, known, config, bound))
     pictured = report is not None or video is not None or out is not None
-    trial = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else None
-    story = DemonstrationStory(frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial)
+    carried = time.perf_counter()
+    trial, compile_s = (
+        _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else (None, 0.0)
+    )
+    story = DemonstrationStory(
+        frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial, rules=bound,
+        seconds=_robot_seconds(trial, time.perf_counter() - carried), compiled=compile_s >= WORTH_SAYING_S,
+        named=source.every > 1,
+    )  # fmt: skip
     result = demonstration_record(story, shown.numbers) | {
         "rgbd": str(rgbd), "arm": None if manipulator is None else manipulator.arm.name, "seed": seed,
         "constraints": [] if rules is None else list(rules.names), "wall_s": time.perf_counter() - begun,
@@ -246,13 +254,23 @@ def _reason_with(
 def _executed(
     terminal: Terminal, demo: Demonstration, obj: ObjectModel, manipulator: Manipulator | None, *, seed: int,
     pictured: bool,
-) -> Trial | None:  # fmt: skip
-    """What came of carrying it out; None when nothing was transferred."""
+) -> tuple[Trial | None, float]:  # fmt: skip
+    """What came of carrying it out, None when nothing was transferred; and how long that compiled, seconds."""
+    from neuralgrasps.cli.compiling import BEGINS, compile_clock
     from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
     from neuralgrasps.evaluate.execute import ExecuteConfig
 
     if demo.stage or manipulator is None:
-        return None
+        return None, 0.0
     config = ExecuteConfig(retries=_RETRIES, record_every_s=_RECORD_EVERY_S if pictured else None)
-    with terminal.progress("the robot picks it up"):
-        return execute_demonstration(demo, obj, manipulator, config=config, seed=seed)
+    with terminal.progress("the robot picks it up"), compile_clock(lambda: terminal.complain(BEGINS)) as clock:
+        trial = execute_demonstration(demo, obj, manipulator, config=config, seed=seed)
+    return trial, clock.seconds
+
+
+def _robot_seconds(trial: Trial | None, all_s: float) -> dict[str, float]:
+    """What the robot took, planning apart from the rest."""
+    if trial is None:
+        return {}
+    planning = sum(attempt.pick.cpu_s for attempt in trial.attempts if attempt.pick is not None)
+    return {"planning": planning, "execution": max(all_s - planning, 0.0)}

@@ -51,8 +51,8 @@ _TEXTS = {
     "transferred": "On the left of each card the grasp, on the right how close the hand comes to every point of the "
     "object, all from the one side that shows most of the query's hand and contacts and the first grasps'. Similarity "
     "compares the contact maps over the whole surface: 1 is the same, 0 the farthest of the known grasps. Held means "
-    "that the hand kept the object throughout the physics trial. ε is the largest disturbance the contacts resist in any "
-    "direction; moved is how far the object went in the hand.",
+    "that the hand kept the object throughout the physics trial. ε is the largest disturbance the contacts resist in "
+    "any direction; moved is how far the object went in the hand.",
     "feasibility": "Each cell shows the first grasp of a pair, how many were found of those wanted, and the share of "
     "the grasps tried in physics that held, before any was dropped.",
     "sheets": "Each sheet shows the most diverse grasps of a pair, in farthest-point order, drawn as computed from "
