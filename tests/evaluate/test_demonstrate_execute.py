@@ -115,7 +115,8 @@ def video(**more):
     record = VideoRecord(
         object="box", index=0, side="left", scale=0.8, kind="power", length=30, stage="", reason="", side_right=True,
         moment_off=0, object_add_s=0.001, grasp_root=0.003, grasp_surface=0.001, map_difference=0.02,
-        contact_similarity=0.9, similarity=0.9, oracle=0.8, lifted=True, lifted_retry=True, place=0, seconds={"object": 1.0, "hand": 2.0}, frames=frames,
+        contact_similarity=0.9, similarity=0.9, oracle=0.8, lifted=True, lifted_retry=True, place=0,
+        seconds={"object": 1.0, "hand": 2.0}, frames=frames,
     )  # fmt: skip
     return replace(record, **more)
 
