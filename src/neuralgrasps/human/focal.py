@@ -23,6 +23,9 @@ _FIRST = (0.8, 1.0, 1.25)  # tried of an object at first
 
 _CLEAR = 0.8  # another focal length must lower the residual to this share of the given one's
 _EDGE = 0.01  # a size so near to the smallest or largest has run out of the range
+_SIZE_COST = 6.0  # share by which a hand's residual is raised, for each share that its size is beyond people's
+_LENGTH_M = 0.252  # from wrist to middle fingertip at size 1
+_USUAL_SIZE = float(np.sqrt(SMALLEST * LARGEST))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,16 +35,47 @@ class FocalCheck:
     Attributes:
         factor: the best focal length over the given one, 1 where no other is clearly better.
         residual_m: of the given one; best_m: of the best.
+        sure: whether the given one is clearly better than all others tried.
     """
 
     factor: float
     residual_m: float
     best_m: float
+    sure: bool
+
+    @property
+    def off(self) -> float:
+        """How far the best focal length is from the given one, as a logarithm without sign."""
+        return abs(float(np.log(self.factor)))
 
 
 def out_of_sizes(scale: float) -> bool:
     """Whether a fitted size lies at the edge of what people's hands are."""
     return not SMALLEST * (1.0 + _EDGE) < scale < LARGEST * (1.0 - _EDGE)
+
+
+def size_doubt(scale: float, fx: float) -> str:
+    """What a hand of this size says of the focal length `fx`, pixels; "" for a size that people's hands have."""
+    if not out_of_sizes(scale):
+        return ""
+    small = scale < _USUAL_SIZE  # what is seen through too long a focal length seems too small
+    factor, usual = (min(scale / SMALLEST, 1.0) if small else max(scale / LARGEST, 1.0)), scale / _USUAL_SIZE
+    return (
+        f"the focal length may be wrong ({size_words(scale)}): it seems too {'long' if small else 'short'}; "
+        f"{factor:.2f} times as long or {'less' if small else 'more'} (fx = {fx * factor:.0f}) would bring the hand "
+        f"into that range, about {usual:.2f} times (fx = {fx * usual:.0f}) would make it a usual one."
+    )
+
+
+def size_words(scale: float) -> str:
+    """A size beside those that people's hands have."""
+    length, least, most = (round(1e3 * _LENGTH_M * s) for s in (scale, SMALLEST, LARGEST))
+    return f"the hand measures {length} mm, people's are {least} to {most} mm"
+
+
+def beyond_sizes(scale: float) -> float:
+    """How far a size lies beyond people's, as a logarithm; 0 within."""
+    return max(float(np.log(SMALLEST / scale)), float(np.log(scale / LARGEST)), 0.0)
 
 
 def stretched(points_C: np.ndarray, factor: float) -> np.ndarray:
@@ -53,7 +87,10 @@ def stretched(points_C: np.ndarray, factor: float) -> np.ndarray:
 
 
 def hand_focal(seen: Sequence[SeenJoints], clouds: Sequence[np.ndarray], *, side: Side) -> FocalCheck:
-    """The focal length at which a hand of a person's size fits joints and points (M, 3) of several frames best."""
+    """The focal length at which a hand of a person's size fits joints and points (M, 3) of several frames best.
+
+    The residual of a hand that is larger or smaller than people's is raised by 6 % for each 1 % that it is beyond.
+    """
     cost = {}
     for factor in FACTORS:
         moved = [replace(s, points_C=stretched(s.points_C, factor)) for s in seen]
@@ -61,7 +98,7 @@ def hand_focal(seen: Sequence[SeenJoints], clouds: Sequence[np.ndarray], *, side
         scale = fit_size(moved, points, side=side)
         fits = [fit_hand(s, c, side=side, scale=scale) for s, c in zip(moved, points, strict=True)]
         apart = [misfit(f, cloud) for f, cloud in zip(fits, points, strict=True)]
-        cost[factor] = float(np.median(apart)) * (1.15 if out_of_sizes(scale) else 1.0)
+        cost[factor] = float(np.median(apart)) * (1.0 + _SIZE_COST * beyond_sizes(scale))
     return _check(cost)
 
 
@@ -95,8 +132,10 @@ def _object_costs(frame: Frame, obj: ObjectModel, X_CO: np.ndarray, factors: Seq
 def _check(cost: dict[float, float]) -> FocalCheck:
     factor = min(cost, key=lambda f: cost[f])
     if cost[factor] > _CLEAR * cost[1.0]:
-        return FocalCheck(factor=1.0, residual_m=cost[1.0], best_m=cost[1.0])
-    return FocalCheck(factor=_refined(cost, factor), residual_m=cost[1.0], best_m=cost[factor])
+        others = [cost[f] for f in cost if f != 1.0]
+        sure = bool(others) and cost[1.0] <= _CLEAR * min(others)
+        return FocalCheck(factor=1.0, residual_m=cost[1.0], best_m=cost[1.0], sure=sure)
+    return FocalCheck(factor=_refined(cost, factor), residual_m=cost[1.0], best_m=cost[factor], sure=False)
 
 
 def _refined(cost: dict[float, float], best: float) -> float:

@@ -30,6 +30,8 @@ _FLIP_X = np.diag([-1.0, 1.0, 1.0, 1.0])
 _SPACING_M = 0.004
 _PROBES = 160
 _FAR_WIDTH_M = 0.03
+_SIZE_STEP = 0.05  # of the log size
+_STEPS, _MOST_STEPS = 4, 9  # sizes tried on each side of the usual one; at most, while the outermost is the best
 _STILL = 0.2  # weight of the joints of a fit shortly before, in place of seen ones
 
 
@@ -187,7 +189,7 @@ def fit_size(
     """One size of a person's hand from some frames that show it well (5 to 8 are enough).
 
     Every frame is fitted at a few sizes; the size is where the sum of the frames' costs is least, the usual sizes of
-    people's hands counted in once.
+    people's hands counted in once. A size that people's hands do not have (to 0.5 or 1.24) speaks against the camera.
 
     Args:
         seen, clouds_C: joints, and points (M, 3), of each frame, as for `fit_hand`; objs: what is held in each.
@@ -197,21 +199,31 @@ def fit_size(
     if not len(seen) or len(seen) != len(clouds_C):
         raise InputError(f"fit_size got {len(seen)} joints and {len(clouds_C)} clouds; expected as many, at least 1.")
     config = config or HandFitConfig()
-    sizes = config.scale_mean * np.exp(np.linspace(-0.20, 0.20, 9))
-    cost = ((np.log(sizes) - np.log(config.scale_mean)) / config.scale_sd) ** 2
-    for k, (joints, cloud) in enumerate(zip(seen, clouds_C, strict=True)):
-        held = objs[k] if objs is not None else None
-        problem = hand_problem(joints, cloud, side=side, scale=1.0, obj=held, frame=None, config=config)
-        X, q, _ = _first_starts(problem, None, config.scale_mean, config)
-        one = np.empty(1)
-        found: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        for i in (4, 5, 6, 7, 8, 3, 2, 1, 0):  # outwards from the usual size, each from its neighbour's result
-            X_i, q_i = (X.copy(), q.copy()) if i == 4 else found[i - 1 if i > 4 else i + 1]
-            X_i, q_i = X_i[:1].copy(), q_i[:1].copy()
-            lower_costs(_model().packed, problem, X_i, q_i, np.array([sizes[i]]), 2 * config.iterations, 1e-3, one)
-            found[i] = (X_i, q_i)
-            cost[i] += one[0]
-    return _least(sizes, cost)
+    problems, found = [], []
+    for joints, cloud, held in zip(seen, clouds_C, objs or [None] * len(seen), strict=True):
+        problems.append(hand_problem(joints, cloud, side=side, scale=1.0, obj=held, frame=None, config=config))
+        X, q, _ = _first_starts(problems[-1], None, config.scale_mean, config)
+        found.append({0: (X[:1], q[:1])})
+    cost: dict[int, float] = {}
+
+    def climb(step: int, neighbour: int) -> None:
+        """Fit all frames at one size, from their results at the next one."""
+        size, one = np.array([config.scale_mean * np.exp(_SIZE_STEP * step)]), np.empty(1)
+        cost[step] = (_SIZE_STEP * step / config.scale_sd) ** 2
+        for problem, poses in zip(problems, found, strict=True):
+            X, q = (array.copy() for array in poses[neighbour])
+            lower_costs(_model().packed, problem, X, q, size, 2 * config.iterations, 1e-3, one)
+            poses[step] = (X, q)
+            cost[step] += float(one[0])
+
+    climb(0, 0)
+    for way in (1, -1):
+        for step in range(1, _MOST_STEPS + 1):
+            if step > _STEPS and min(cost, key=lambda k: cost[k]) != way * (step - 1):
+                break
+            climb(way * step, way * (step - 1))
+    steps = sorted(cost)
+    return _least(config.scale_mean * np.exp(_SIZE_STEP * np.array(steps)), np.array([cost[k] for k in steps]))
 
 
 def _least(sizes: np.ndarray, cost: np.ndarray) -> float:

@@ -6,7 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from neuralgrasps.human.focal import FocalCheck, hand_focal, object_focal, out_of_sizes
+from neuralgrasps.human.focal import (
+    FocalCheck,
+    beyond_sizes,
+    hand_focal,
+    object_focal,
+    out_of_sizes,
+    size_doubt,
+    size_words,
+)
 from neuralgrasps.human.hand_fit import fit_hand, fit_size
 from neuralgrasps.human.hand_misfit import misfit
 from neuralgrasps.human.hand_video import HandVideo
@@ -17,6 +25,7 @@ _SURE_SIDE = 0.2  # mean vote of the frames, -0.5 to 0.5
 _OTHER: dict[Side, Side] = {"right": "left", "left": "right"}
 _SIZE_FRAMES = 8
 _SAME_CAMERA, _OTHER_CAMERA = 0.08, 0.12  # log ratio of focal lengths that is none, and that is one
+_CONTRADICTS = 0.15  # a focal length that makes the hand so much larger or smaller than people's is none
 _MISFIT_M = 0.009  # median `misfit` of the best frames that speaks against the camera or the joints
 
 
@@ -50,24 +59,37 @@ def _misfit_of_side(video: HandVideo, numbers: Sequence[int], side: Side) -> flo
 
 
 def measure_hand(video: HandVideo, coarse: Sequence[int]) -> str:
-    """Decide the hand's size from its best frames; why that cannot be done, or ""."""
+    """Decide the hand's size from its best frames; why that cannot be done, or "".
+
+    Another focal length is named when the object fits better with it. Where the object cannot be asked, or does not
+    clearly prefer the given one, the hand's own size and misfit decide; `doubt_of_size` says what they leave open.
+    """
     best = _best_frames(video, coarse)
     shown, clouds = [s for n in best if (s := video.see(n)) is not None], [video.cloud(n) for n in best]
+    measured = video.scale is None
     if video.scale is None:
         video.scale = fit_size(shown, clouds, side=video.side, objs=[video.held(n) for n in best])
     apart = float(np.median([misfit(f, video.cloud(n)) for n in best if (f := video.fit(n)) is not None]))
-    odd = out_of_sizes(video.scale) or apart >= _MISFIT_M
-    check = _object_focal(video, hidden=odd)
-    what = "the object"
-    if odd and (check is None or _SAME_CAMERA < abs(np.log(check.factor)) < _OTHER_CAMERA):
-        check, what = hand_focal(shown[::2], clouds[::2], side=video.side), "a hand of any person's size"
-    if check is not None and abs(np.log(check.factor)) > _OTHER_CAMERA:
-        return _wrong_camera(video, check, what)
-    if out_of_sizes(video.scale):
-        video.notes.append(f"the hand's size, {video.scale:.2f} of the model, is at the edge of what people have.")
-    if apart >= _MISFIT_M:
+    strange, loose = measured and out_of_sizes(video.scale), apart >= _MISFIT_M
+    by_object = _object_focal(video, hidden=strange or loose)
+    if measured and by_object is not None and beyond_sizes(video.scale / by_object.factor) > _CONTRADICTS:
+        by_object = None  # it is not where it is thought to be
+    if by_object is not None and by_object.off > _OTHER_CAMERA:
+        return _wrong_camera(video, by_object, "the object")
+    fine = by_object is not None and by_object.off <= _SAME_CAMERA
+    sure = by_object is not None and by_object.sure
+    if (strange and not sure) or (loose and not fine):
+        by_hand = hand_focal(shown[::2], clouds[::2], side=video.side)
+        if by_hand.off > _OTHER_CAMERA:
+            return _wrong_camera(video, by_hand, "a hand of any person's size")
+    if loose:
         video.notes.append(f"the hand model fits its points and joints only to {1e3 * apart:.0f} mm.")
     return ""
+
+
+def doubt_of_size(video: HandVideo) -> str:
+    """What the decided size says of the focal length; "" for a size that people's hands have."""
+    return "" if video.scale is None else size_doubt(video.scale, video.frames[0].intrinsics.fx)
 
 
 def _best_frames(video: HandVideo, coarse: Sequence[int]) -> list[int]:
@@ -96,9 +118,12 @@ def _object_focal(video: HandVideo, *, hidden: bool) -> FocalCheck | None:
 
 
 def _wrong_camera(video: HandVideo, check: FocalCheck, what: str) -> str:
-    k = video.frames[0].intrinsics
+    k, size = video.frames[0].intrinsics, ""
+    if video.scale is not None and out_of_sizes(video.scale):
+        size = f"; {size_words(video.scale)}"
     return (
         f"the intrinsics do not fit: with fx = {k.fx:.0f} {what} fits to {1e3 * check.residual_m:.1f} mm, with about "
-        f"{k.fx * check.factor:.0f} to {1e3 * check.best_m:.1f} mm. Give the focal lengths of the depth images, at "
-        "their size (were they of another resolution, or of the colour camera?); or is the object of another size?"
+        f"{k.fx * check.factor:.0f} to {1e3 * check.best_m:.1f} mm{size}. Give the focal lengths of the depth "
+        "images, at their size (were they of another resolution, or of the colour camera?); or is the object of "
+        "another size?"
     )

@@ -14,7 +14,7 @@ from neuralgrasps.human.hand_cloud import CloudConfig
 from neuralgrasps.human.hand_video import HandVideo, object_poses
 from neuralgrasps.human.look import LookConfig, followed_frames, look
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
-from neuralgrasps.human.side_and_size import decide_side, measure_hand
+from neuralgrasps.human.side_and_size import decide_side, doubt_of_size, measure_hand
 from neuralgrasps.human.sighting import HandFinder, JointSource
 from neuralgrasps.human.still_grasp import GraspLimits, StillGrasp, find_still_grasp
 from neuralgrasps.objects.object_model import ObjectModel
@@ -121,7 +121,12 @@ def watch_hand(
     if reason:
         return _track(video, "size", reason)
     found = find_still_grasp(video, coarse, config.grasp)
-    return _track(video, "grasp", found) if isinstance(found, str) else _graded(video, found, config.grasp)
+    doubt = doubt_of_size(video) if config.scale is None else ""
+    if isinstance(found, str):
+        return _track(video, "grasp", f"{found} Or {doubt}" if doubt else found)
+    if doubt:
+        video.notes.append(doubt)
+    return _graded(video, found, config.grasp)
 
 
 def _check_inputs(
