@@ -54,3 +54,9 @@ def test_the_image_of_the_image_is_the_hand():
 def test_a_size_of_nothing_is_refused(scale):
     with pytest.raises(InputError, match="above 0"):
         scaled_hand(load_hand("human"), scale)
+
+
+def test_names_tell_sizes_apart():
+    hand = load_hand("human")
+    assert scaled_hand(hand, 0.8).name == "human_x0.800"  # grasps that are kept are found by it
+    assert scaled_hand(hand, 0.80001).name != scaled_hand(hand, 0.80049).name != scaled_hand(hand, 0.8).name

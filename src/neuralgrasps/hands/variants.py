@@ -18,7 +18,8 @@ def scaled_hand(hand: Hand, scale: float, *, name: str | None = None) -> Hand:
 
     Args:
         scale: > 0; the human hand is 252 mm from wrist to middle fingertip at 1, people's are 0.68 to 0.9.
-        name: of the new hand; default the old name and the scale, "human_x0.800".
+        name: of the new hand; default the old name and the scale, "human_x0.800", with six decimals where three do
+            not hold it: names tell hands apart.
     Raises:
         InputError: the scale is not positive and finite.
     """
@@ -28,7 +29,7 @@ def scaled_hand(hand: Hand, scale: float, *, name: str | None = None) -> Hand:
     link_unit = np.where(tree.joint_types == PRISMATIC, scale, 1.0)
     return replace(
         hand,
-        name=name or f"{hand.name}_x{scale:.3f}",
+        name=name or f"{hand.name}_x{scale:.{3 if round(scale, 3) == scale else 6}f}",
         tree=replace(
             tree,
             X_parent_joint=_scaled(tree.X_parent_joint, scale),

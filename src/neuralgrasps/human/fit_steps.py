@@ -12,20 +12,10 @@ from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.human.fit_kernels import hand_cost_rows, in_hand
 from neuralgrasps.human.fit_problem import new_hand_work
 from neuralgrasps.model.fit_kernels import nearest_of_parts, part_poses_H
-from neuralgrasps.model.fit_solver import moved_pose
+from neuralgrasps.model.fit_solver import hold_limits, moved_pose
 from neuralgrasps.model.spd import add_damped, solve_spd
 
 _MOST_GROWTH = 0.1  # of the log size in one step
-
-
-@njit(cache=True, error_model="numpy")
-def _hold_limits(packed, q, A, b):  # type: ignore[no-untyped-def]
-    """Joints pressed against a limit stay there."""
-    for j in range(q.shape[0]):
-        if (q[j] <= packed.lower[j] and b[6 + j] > 0.0) or (q[j] >= packed.upper[j] and b[6 + j] < 0.0):
-            A[6 + j, : 6 + j] = 0.0
-            A[7 + j :, 6 + j] = 0.0
-            b[6 + j] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -59,7 +49,7 @@ def lower_cost(packed, problem, X_CH, q, scale, iterations, enough):  # type: ig
     damping = 1e-2
     cost = hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b)
     for iteration in range(iterations):
-        _hold_limits(packed, q, A, b)
+        hold_limits(packed, q, A, b)
         improved, trial, scale_new = False, cost, scale
         for _ in range(5):
             add_damped(A, damping, 1e-6, damped)
@@ -102,7 +92,7 @@ def curvature(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
     A, b, J = np.empty((size, size)), np.empty(size), np.zeros((3 * problem.joint_link.shape[0], size))
     work = new_hand_work(packed, problem.cloud_C.shape[0])
     hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b)
-    _hold_limits(packed, q, A, b)
+    hold_limits(packed, q, A, b)
     for i in range(size):
         for j in range(i):
             A[j, i] = A[i, j]
