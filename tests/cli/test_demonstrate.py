@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from neuralgrasps.cli.demonstrate_show import short_why
 from neuralgrasps.export.pick_plan import load_pick_plan
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.objects.zoo import load_object
@@ -170,3 +171,11 @@ def test_constraints_that_leave_nothing_say_what_would_do_without_them(ng: Call,
     assert "known grasps: of " in ended.result["reason"]
     assert "without the constraints one of similarity 0." in ended.result["reason"]
     assert ended.result["constraints"] == ["approach along -z within 2°", "keep top:0.45 free by 5 mm"]
+
+
+def test_the_reason_printed_repeats_no_other_column():
+    reason = (
+        "contacts number 2 in closeness, generated from known grasp 3; similarity 0.90 against 0.80 of the best known"
+    )
+    assert short_why(f"{reason}; held in dexgraspbench") == "generated from known grasp 3"
+    assert short_why("held in dexgraspbench") == "held in dexgraspbench"

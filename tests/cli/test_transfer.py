@@ -53,6 +53,25 @@ def test_files_of_grasps_and_points_are_queries_too(ng: Call, pipeline: Pipeline
     assert cloud.code == 0 and "points of a hand" in cloud.result["query"]
 
 
+def test_contacts_off_the_surface_are_moved_onto_it_and_counted(
+    ng: Call, pipeline: Pipeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    grasps = neuralgrasps.load_grasps(next(pipeline.grasps.rglob("panda.safetensors")))
+    points = grasps.contact_points_O[2][grasps.contact_links[2] >= 0][:2].copy()
+    points[0] += 0.02 * points[0] / np.linalg.norm(points[0])
+    np.save(tmp_path / "drawn.npy", points)
+    asked = ("transfer", pipeline.run, *OBJECT, "--contacts", tmp_path / "drawn.npy", "--hand", "panda", "--count", 1)
+    made = ng(*asked, "--method", "retrieve", "--report", tmp_path / "page.html")
+    assert made.code == 0, made.err
+    assert "1 of 2 drawn points are more than 5 mm off" in made.err and "no. 1: " in made.err
+    assert "no. 2: " not in made.err
+    row = made.result["results"][0]
+    assert row["touched"].endswith(" of 2") and 0 <= row["points_off_mm"] < 100
+    assert "drawn points touched" in made.out and "drawn points touched" in (tmp_path / "page.html").read_text()
+    assert (tmp_path / "transferred_panda_gelatin_box.safetensors").is_file()
+
+
 def test_axes_may_stand_alone(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:
     """-z is an axis here, though it looks like an option."""
     asked = ("transfer", pipeline.run, *OBJECT, "--query", "panda", "--hand", "panda", "--count", 1)

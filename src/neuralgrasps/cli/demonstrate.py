@@ -103,8 +103,8 @@ def demonstrate(
         obj = _open_object(terminal, object_name)
     rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
     shown = read_shown(terminal, rgbd, source)
-    known = _known(terminal, object_name, obj, robot_hand, grasps)
-    config = replace(DemonstrateConfig().transfer, count=count, trials=max(count, _LEAST_TRIALS), method=method)
+    known = _known(terminal, obj, robot_hand, grasps)
+    config = replace(DemonstrateConfig().transfer, count=count, trials=max(3 * count // 2, _LEAST_TRIALS), method=method)
     demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
     bound = None if rules is None or demo.transfer is None else rules(demo.table_O)
     if demo.stage == "transfer" and bound is not None:
@@ -188,13 +188,12 @@ def _open_object(terminal: Terminal, spec: str) -> ObjectModel:
     return obj
 
 
-def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Path | None) -> GraspSet | None:
+def _known(terminal: Terminal, obj: ObjectModel, hand: Hand, file: Path | None) -> GraspSet | None:
     """Grasps of the file, else of a shipped run; None: they are made on the spot."""
-    from neuralgrasps.cli.bench_library import library_of
-    from neuralgrasps.cli.transfer_query import Known
     from neuralgrasps.errors import NeuralGraspsError
-    from neuralgrasps.evaluate.pose_bench_methods import open_library_run
     from neuralgrasps.grasps.grasp_io import load_grasps
+    from neuralgrasps.model.checkpoint import run_grasps
+    from neuralgrasps.model.run_notes import shipped_runs
 
     if file is not None:
         found = load_grasps(file)
@@ -204,11 +203,9 @@ def _known(terminal: Terminal, spec: str, obj: ObjectModel, hand: Hand, file: Pa
                 f"of '{hand.name}' on '{obj.name}'."
             )
         return found
-    library = library_of((source_text(spec),), {obj.name: obj})
-    if library.run is None:
-        return None
     try:
-        return Known(run=open_library_run(library)).grasps(hand, obj)
+        sets = (run_grasps(run, hand, obj) for run in shipped_runs())
+        return next((found for found in sets if found is not None), None)
     except NeuralGraspsError as error:
         terminal.complain(f"note: shipped grasps are not used, new ones are made: {error}")
         return None

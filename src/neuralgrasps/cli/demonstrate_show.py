@@ -146,7 +146,14 @@ def show_demonstration(terminal: Terminal, record: Mapping[str, Any]) -> None:
         terminal.table(
             ("rank", "similarity", "from", "epsilon", "held", "why"),
             [
-                (g["rank"], f"{g['similarity']:.3f}", g["origin"], f"{g['epsilon']:.3f}", g["held"], g["why"])
+                (
+                    g["rank"],
+                    f"{g['similarity']:.3f}",
+                    g["origin"],
+                    f"{g['epsilon']:.3f}",
+                    g["held"],
+                    short_why(g["why"]),
+                )
                 for g in transfer["grasps"][:_ROWS]
             ],
         )
@@ -164,6 +171,13 @@ def show_demonstration(terminal: Terminal, record: Mapping[str, Any]) -> None:
     times = ", ".join(f"{name} {s:.1f} s" for name, s in record["seconds"].items())
     if times:
         terminal.say(f"Time: {times}.")
+
+
+def short_why(reason: str) -> str:
+    """A grasp's reason without what other columns say: its place, its similarity, and that it held."""
+    said = [part for whole in reason.split("; ") for part in whole.split(", ")]
+    repeated = ("closest contacts", "contacts number", "similarity", "held in")
+    return ", ".join(part for part in said if not part.startswith(repeated)) or reason
 
 
 def _stage_title(stage: str) -> str:

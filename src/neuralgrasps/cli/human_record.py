@@ -49,7 +49,7 @@ def human_record(
         scale: size of the hand, 0.66 to 0.92 (166 to 232 mm from wrist to middle fingertip); default drawn.
         kind: of the grasp.
         clutter: other things on the table.
-        noise: errors of a structured-light depth camera.
+        noise: depth with the errors of a structured-light camera; --no-noise: exact depth.
         unit: length unit of a mesh file; auto takes over 3 units for mm.
     """
     from neuralgrasps.human.demonstration import DemonstrationConfig

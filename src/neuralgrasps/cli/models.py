@@ -55,6 +55,11 @@ def warn_of_damage(terminal: Terminal, objects: Iterable[ObjectModel]) -> None:
             terminal.complain(
                 f"warning: '{obj.name}': {'; '.join(damage)}. Its surface may have holes; export it again."
             )
+        if any(line.startswith("took the file's unit for mm") for line in repairs):
+            extent = 1e3 * float(obj.mesh.extents.max())
+            terminal.complain(
+                f"note: '{obj.name}': the file's numbers are taken as millimetres; it is {extent:.0f} mm long."
+            )
 
 
 def warn_of_stand_ins(terminal: Terminal, specs: Mapping[str, str], objects: Mapping[str, ObjectModel]) -> None:

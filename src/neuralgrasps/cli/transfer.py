@@ -50,7 +50,10 @@ def transfer(
     up: OptionalSide = None,
     protocol: str = "dexgraspbench",
     seed: int = 0,
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("transferred.safetensors"),
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: transferred_HAND_OBJECT.safetensors)"),
+    ] = None,
     report: OptionalFile = None,
     hands: Names = (),
     objects: Names = (),
@@ -89,6 +92,7 @@ def transfer(
     from neuralgrasps.apply.constraint_text import constraint_fields
     from neuralgrasps.apply.constraints import GraspConstraints
     from neuralgrasps.apply.transfer import TransferConfig
+    from neuralgrasps.cli.models import warn_of_damage
     from neuralgrasps.cli.transfer_query import ask_grasp, ask_points, open_known
 
     check_seed(seed)
@@ -108,7 +112,12 @@ def transfer(
             assert file is not None
             asked = ask_points(known, file, object_name, contacts=contacts is not None)
         target = known.hand(hand)
+        out = out or Path(f"transferred_{target.name}_{asked.obj.name}.safetensors")
+        check_writable(out)
         constraints = GraspConstraints(obj=asked.obj, **wanted)
+    warn_of_damage(terminal, [asked.obj])
+    if asked.note:
+        terminal.complain(asked.note)
     result, stored, times = _timed(terminal, known, asked, target, config, constraints, seed)
     record = _record(asked, target, result, constraints, stored) | times
     if not len(result.grasps) and constraints:
@@ -172,9 +181,13 @@ def _record(
     asked: Asked, hand: Hand, result: TransferResult, constraints: GraspConstraints, known: GraspSet
 ) -> dict[str, Any]:
     """The JSON object of one call, units in the names."""
+    from neuralgrasps.apply.drawn_contacts import reach, touched_text
+
     grasps = result.grasps
     clearance = constraints.clearance(hand, grasps.X_OH, grasps.q)
     verdict = grasps.verdicts.get(grasps.protocol)
+    points_O = asked.contacts_O
+    reached = None if points_O is None else reach(hand, grasps.X_OH, grasps.q, points_O)
     rows = [
         {
             "rank": i + 1,
@@ -186,6 +199,7 @@ def _record(
             "clearance_mm": None if clearance[i] == float("inf") else 1e3 * float(clearance[i]),
             "why": result.reasons[i],
         }
+        | ({} if reached is None else {"touched": touched_text(reached[i]), "points_off_mm": 1e3 * reached[i].mean()})
         for i in range(len(grasps))
     ]
     short = bool(result.reason) and bool(constraints) and len(known) > 0
@@ -195,6 +209,7 @@ def _record(
         "query": asked.title,
         "constraints": list(constraints.names),
         "constraints_on_known": constraints.describe(hand, known.X_OH, known.q, known.q_pregrasp) if short else "",
+        "note": asked.note,
         "known": len(known),
         "oracle_similarity": result.oracle,
         "results": rows,
@@ -248,12 +263,17 @@ def _show(terminal: Terminal, record: dict[str, Any]) -> None:
     terminal.say(f"{record['hand']} on {record['object']}: {counted(len(rows), 'grasp')} for {record['query']}")
     if rows:
         free = any(r["clearance_mm"] is not None for r in rows)
-        columns = ("rank", "similarity", "from", "epsilon", "moved, mm", *(("clear by, mm",) if free else ()))
+        drawn = "touched" in rows[0]
+        columns = (
+            *("rank", "similarity", "from", "epsilon", "moved, mm"), *(("clear by, mm",) if free else ()),
+            *(("drawn points touched", "off, mm") if drawn else ()),
+        )  # fmt: skip
         terminal.table(
             columns,
             [
                 (r["rank"], f"{r['similarity']:.3f}", r["origin"], f"{r['epsilon']:.3f}", f"{r['moved_mm']:.1f}",
-                 *((f"{r['clearance_mm']:.0f}",) if free else ()))
+                 *((f"{r['clearance_mm']:.0f}",) if free else ()),
+                 *((r["touched"], f"{r['points_off_mm']:.1f}") if drawn else ()))
                 for r in rows
             ],
         )  # fmt: skip

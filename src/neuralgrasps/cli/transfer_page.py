@@ -73,6 +73,8 @@ def _query_text(asked: Asked, constraints: GraspConstraints) -> str:
 
 def _notes(record: Mapping[str, Any]) -> list[str]:
     notes = [f"Constraint: {name}." for name in record["constraints"]]
+    if record["note"]:
+        notes.append(record["note"].removeprefix("warning: "))
     if record["reason"]:
         notes.append(f"{record['reason'][:1].upper()}{record['reason'][1:]}.")
     if record["constraints_on_known"]:

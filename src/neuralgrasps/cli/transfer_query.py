@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.object_model import ObjectModel
 
 NO_RUN = "-"
+OFF_SURFACE_M = 0.005  # a drawn contact farther off the surface is put on it, and said
+_LISTED = 8  # such points that are named
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,7 +29,7 @@ class Asked:
     """A query, its object, the words for it, and what is drawn of it: a posed hand, or points.
 
     Attributes:
-        grasp: hand, X_OH (4, 4), q (J,); points_O: (M, 3); one of the two.
+        grasp: hand, X_OH (4, 4), q (J,); points_O: (M, 3); one of the two. note: a warning, or "".
     """
 
     query: TransferQuery
@@ -35,6 +37,12 @@ class Asked:
     title: str
     grasp: tuple[Hand, np.ndarray, np.ndarray] | None = None
     points_O: np.ndarray | None = None
+    note: str = ""
+
+    @property
+    def contacts_O(self) -> np.ndarray | None:
+        """(M, 3) the points that are to be touched, where these are the query."""
+        return self.points_O if self.query.source == "contacts" else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,6 +126,8 @@ def ask_points(known: Known, path: Path, object_name: str | None, *, contacts: b
         raise InputError(f"'{path}' holds no finite point; expected x y z in metres, in the object's frame.")
     try:
         query = query_from_contacts(obj, points) if contacts else query_from_points(obj, points)
+        points, note = _moved_on(obj, points) if contacts else (points, "")
+        query = query_from_contacts(obj, points) if note else query
     except InputError as error:
         raise InputError(f"'{path}': {error}") from error
     kind = "contact" if contacts else "point of a hand"
@@ -126,7 +136,24 @@ def ask_points(known: Known, path: Path, object_name: str | None, *, contacts: b
         if len(points) == 1
         else f"{len(points)} {'contacts' if contacts else 'points of a hand'}"
     )
-    return Asked(query=query, obj=obj, title=f"{count} in '{path.name}'", points_O=points)
+    return Asked(query=query, obj=obj, title=f"{count} in '{path.name}'", points_O=points, note=note)
+
+
+def _moved_on(obj: ObjectModel, points: np.ndarray) -> tuple[np.ndarray, str]:
+    """Drawn points (M, 3), all put on the surface where one is too far off it, and the warning that says so, or ""."""
+    from neuralgrasps.apply.drawn_contacts import on_surface
+
+    nearest, off = on_surface(obj, points)
+    far = np.flatnonzero(off > OFF_SURFACE_M)
+    if not len(far):
+        return points, ""
+    listed = ", ".join(f"no. {k + 1}: {1e3 * off[k]:.0f} mm" for k in far[:_LISTED])
+    more = f" and {len(far) - _LISTED} more" if len(far) > _LISTED else ""
+    return nearest, (
+        f"warning: {len(far)} of {len(points)} drawn points are more than {1e3 * OFF_SURFACE_M:.0f} mm off the surface "
+        f"of '{obj.name}' ({listed}{more}); the nearest points of the surface are used instead. Is it the object's "
+        "frame, in metres?"
+    )
 
 
 def _split_row(text: str) -> tuple[str, int]:

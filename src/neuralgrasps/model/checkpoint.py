@@ -169,6 +169,35 @@ def load_run(
         raise DataFormatError(f"'{folder}' lacks an entry: {error}. Train again.") from error
 
 
+def run_grasps(name_or_path: str | Path, hand: Hand, obj: ObjectModel) -> GraspSet | None:
+    """The grasps of one hand on one object that came with a run; the run's other objects are not needed.
+
+    Returns:
+        None where the run has none of this hand on an object of this name.
+    Raises:
+        DataFormatError: missing, damaged, or of another version.
+        InputError: hand or object has the name of the run's, and is another one.
+    """
+    folder = run_folder(name_or_path)
+    run = read_notes(folder)
+    name = f"{GRASPS_FOLDER}/{obj.name}/{hand.name}.safetensors"
+    if obj.name not in run.objects or hand.name not in run.hands or name not in run.sha256:
+        return None
+    arrays = _read_arrays(folder, FIELD_FILE, run)
+    _check_same({obj.name: _object_codec(run, arrays, run.objects.index(obj.name))}, {obj.name: obj})
+    _check_same_hand(_hand_codec(run, arrays, run.hands.index(hand.name)), hand)
+    return _grasps_of(folder, run, (name,))[hand.name, obj.name]
+
+
+def _hand_codec(run: RunNotes, arrays: Mapping[str, np.ndarray], i: int) -> HandCodec:
+    return HandCodec(name=run.hands[i], **{a: arrays[f"hand.{i}.{a}"] for a in _HAND_ARRAYS})
+
+
+def _object_codec(run: RunNotes, arrays: Mapping[str, np.ndarray], i: int) -> ObjectCodec:
+    stored = {a: arrays[f"object.{i}.{a}"] for a in _OBJECT_ARRAYS}
+    return ObjectCodec(name=run.objects[i], radius_m=run.radius_m[i], **stored)
+
+
 def _book_of(run: RunNotes, arrays: Mapping[str, np.ndarray]) -> CodeBook:
     maps = arrays["contact_maps"]
     if maps.dtype == np.uint8:
@@ -177,13 +206,14 @@ def _book_of(run: RunNotes, arrays: Mapping[str, np.ndarray]) -> CodeBook:
     return CodeBook(**stored, hands=run.codebook.hands, objects=run.codebook.objects)
 
 
-def _grasps_of(folder: Path, run: RunNotes) -> dict[tuple[str, str], GraspSet]:
+def _grasps_of(folder: Path, run: RunNotes, names: Sequence[str] | None = None) -> dict[tuple[str, str], GraspSet]:
+    """The sets of the files of these names; None: of all."""
     found = {}
-    for name, sha256 in run.sha256.items():
+    for name in run.sha256 if names is None else names:
         if not name.startswith(f"{GRASPS_FOLDER}/"):
             continue
         path = folder / name
-        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != sha256:
+        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != run.sha256[name]:
             raise DataFormatError(f"'{path}' is missing or not the file that {RUN_FILE} names. Train again.")
         grasps = load_grasps(path)
         found[grasps.hand, grasps.object] = grasps
@@ -233,14 +263,8 @@ def restored_config(run: Run) -> TrainConfig:
 def _field_of(
     run: RunNotes, arrays: Mapping[str, np.ndarray], hands: Mapping[str, Hand], objects: Mapping[str, ObjectModel]
 ) -> KinematicField:
-    hand_codecs = {
-        name: HandCodec(name=name, **{a: arrays[f"hand.{i}.{a}"] for a in _HAND_ARRAYS})
-        for i, name in enumerate(run.hands)
-    }
-    object_codecs = {
-        name: ObjectCodec(name=name, radius_m=run.radius_m[i], **{a: arrays[f"object.{i}.{a}"] for a in _OBJECT_ARRAYS})
-        for i, name in enumerate(run.objects)
-    }
+    hand_codecs = {name: _hand_codec(run, arrays, i) for i, name in enumerate(run.hands)}
+    object_codecs = {name: _object_codec(run, arrays, i) for i, name in enumerate(run.objects)}
     _check_same(object_codecs, objects)
     for name, own in hand_codecs.items():
         _check_same_hand(own, hands[name])

@@ -16,6 +16,7 @@ class TransferredGrasp:
         similarity: of its contact map to the query's, 0..1. origin: "retrieved" or "generated".
         success: held in the physics trial; None when it was not run. displacement_mm: of the object, in the trial.
         epsilon: largest disturbance resisted. clearance_mm: from what is kept free; None when nothing is.
+        touched: "1 of 2" drawn points, "" where none were; points_off_mm: mean distance from the hand to them.
         reason: why it stands where it stands.
     """
 
@@ -27,6 +28,8 @@ class TransferredGrasp:
     displacement_mm: float | None = None
     epsilon: float | None = None
     clearance_mm: float | None = None
+    touched: str = ""
+    points_off_mm: float | None = None
     reason: str = ""
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neuralgrasps.apply.constraints import GraspConstraints
+from neuralgrasps.apply.drawn_contacts import reach, touched_text
 from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
@@ -122,7 +123,11 @@ def transfer_list(
             sight.picture([*_hand((hand, kept.X_OH[i], kept.q[i])), thing]),
             sight.contact_map(obj, maps[i]),
         )
-        drawn.append(_transferred(result, i, pictures, None if np.isinf(free[i]) else 1e3 * float(free[i])))
+        card = _transferred(result, i, pictures, None if np.isinf(free[i]) else 1e3 * float(free[i]))
+        if points_O is not None and query.source == "contacts":
+            off = reach(hand, kept.X_OH[i : i + 1], kept.q[i : i + 1], points_O)[0]
+            card = replace(card, touched=touched_text(off), points_off_mm=1e3 * float(off.mean()))
+        drawn.append(card)
     return TransferList(
         object=obj.name, hand=hand.name, title=title, text=text, image=sight.picture([*asked, thing]),
         contacts=sight.contact_map(obj, query.contact_map), grasps=tuple(drawn),

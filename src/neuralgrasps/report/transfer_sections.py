@@ -38,6 +38,8 @@ def _card(one: TransferList, index: int, pictures: PictureEncoder) -> str:
         ("ε", number_text(grasp.epsilon, ".3f")),
         ("moved", number_text(grasp.displacement_mm, ".1f", "mm")),
         ("clear by", number_text(grasp.clearance_mm, ".0f", "mm")),
+        ("drawn points touched", grasp.touched or "–"),
+        ("off them", number_text(grasp.points_off_mm, ".1f", "mm")),
     ]
     facts = [(label, value) for label, value in facts if value != "–"]
     words = ", ".join([f"{index + 1}: {one.hand}, {grasp.origin}", *(f"{k} {v}" for k, v in facts)])
