@@ -109,9 +109,18 @@ class TrueEyes:
         return SeenJoints(points_C=points, weight=np.full(21, 0.8), mask=mask, side=box.side, source="truth")
 
 
-def _film(obj: ObjectModel, X_OH: np.ndarray, q_grasp: np.ndarray, count: int) -> GraspVideo:
+def _film(
+    obj: ObjectModel,
+    X_OH: np.ndarray,
+    q_grasp: np.ndarray,
+    count: int,
+    *,
+    drift: tuple[float, float, float] | None = None,
+) -> GraspVideo:
+    """`drift`: the camera moves so far in the world in every frame, and the frames say where it is."""
     hand = scaled_hand(human_hand(), SCALE)
-    X_WC = look_at(np.array([0.28, 0.42, 0.35]), np.array([0.0, 0.0, 0.03]))
+    eyes = np.array([0.28, 0.42, 0.35]) + np.arange(count)[:, None] * (drift or (0.0, 0.0, 0.0))
+    X_WC = np.stack([look_at(eye, np.array([0.0, 0.0, 0.03])) for eye in eyes])
     X_CW, X_WT, X_HF = np.linalg.inv(X_WC), np.eye(4), np.eye(4)
     X_WT[2, 3] = obj.mesh.bounds[0, 2] - 0.02
     X_HF[:3, :3], X_HF[0, 3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], 0.12  # behind the wrist, along its x
@@ -127,28 +136,38 @@ def _film(obj: ObjectModel, X_OH: np.ndarray, q_grasp: np.ndarray, count: int) -
         if k >= _START:
             meshes += [hand_mesh(hand, qs[k], segments=12), forearm]
             poses += [X, X @ X_HF]
-            X_CH[k] = X_CW @ X
+            X_CH[k] = X_CW[k] @ X
         view = render_depth_view(
-            meshes, np.stack(poses), X_WC=X_WC, intrinsics=CAMERA, noise=STRUCTURED_LIGHT, seed=100 + k
+            meshes, np.stack(poses), X_WC=X_WC[k], intrinsics=CAMERA, noise=STRUCTURED_LIGHT, seed=100 + k
         )
-        frames.append(Frame(depth=view.depth, intrinsics=CAMERA, name=f"{k:06d}"))
+        said = None if drift is None else X_WC[k]
+        frames.append(Frame(depth=view.depth, intrinsics=CAMERA, X_WC=said, name=f"{k:06d}"))
         masks.append(view.mesh_index == 2)
     return GraspVideo(
-        frames=frames, obj=obj, X_CO=np.tile(X_CW, (count, 1, 1)), joints_C=joint_points(hand, X_CH, qs),
+        frames=frames, obj=obj, X_CO=X_CW, joints_C=joint_points(hand, X_CH, qs),
         masks=np.stack(masks), X_CH=X_CH, q=qs,
     )  # fmt: skip
+
+
+def _filmed(make_object: Callable[..., ObjectModel], **more: tuple[float, float, float]) -> GraspVideo:
+    can = load_object("tomato_soup_can").mesh
+    grasps = load_grasps(run_folder("standins7") / "grasps" / "tomato_soup_can" / "human.safetensors")
+    X_OH = grasps.X_OH[_GRASP].copy()
+    X_OH[:3, 3] *= SCALE  # hand and can are made smaller alike
+    smaller = make_object("can", Mesh(SCALE * can.vertices, can.faces), cells=40, points=512)
+    return _film(smaller, X_OH, grasps.q[_GRASP], 24, **more)
 
 
 @pytest.fixture(scope="session")
 def grasp_video(make_object: Callable[..., ObjectModel]) -> GraspVideo:
     """24 frames, 320 x 240; do not change its arrays."""
-    can = load_object("tomato_soup_can").mesh
-    grasps = load_grasps(run_folder("standins7") / "grasps" / "tomato_soup_can" / "human.safetensors")
-    X_OH = grasps.X_OH[_GRASP].copy()
-    X_OH[:3, 3] *= SCALE  # hand and can are made smaller alike
-    return _film(
-        make_object("can", Mesh(SCALE * can.vertices, can.faces), cells=40, points=512), X_OH, grasps.q[_GRASP], 24
-    )
+    return _filmed(make_object)
+
+
+@pytest.fixture(scope="session")
+def moving_video(make_object: Callable[..., ObjectModel]) -> GraspVideo:
+    """The same, by a camera that moves by 15 mm a frame, and says so; do not change its arrays."""
+    return _filmed(make_object, drift=(-0.012, 0.006, 0.007))
 
 
 @pytest.fixture

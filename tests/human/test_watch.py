@@ -63,6 +63,24 @@ def test_an_unsure_side_is_decided_by_the_fit(grasp_video, true_eyes, said):
     assert any("fits better" in r for r in track.reasons) == (said == "left")
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_moving_camera_changes_nothing_where_it_is_known(moving_video, true_eyes, known):
+    there = {} if known else {"obj": None, "X_CO": None}
+    track = _watched(moving_video, true_eyes(video=moving_video), **there)
+    assert track.stage == "" and len(track.still) >= 10 and min(track.still) >= STILL_FROM - 1
+    assert moving_video.surface_error(track) < 0.005
+
+
+def test_a_moving_camera_that_is_not_known_makes_the_hand_seem_to_move(moving_video, true_eyes):
+    silent = [replace(f, X_WC=None) for f in moving_video.frames]
+    track = _watched(moving_video, true_eyes(video=moving_video), frames=silent, obj=None, X_CO=None)
+    assert len(track.still) < 8
+    silent[3] = moving_video.frames[3]
+    silent[9] = moving_video.frames[9]
+    with pytest.raises(InputError, match="22 of 24 frames have no camera pose"):
+        _watched(moving_video, true_eyes(video=moving_video), frames=silent)
+
+
 def test_a_lifted_object_takes_the_hand_along(grasp_video):
     """Everything moves on by 12 pixels early in the still phase: the grasp is described before that."""
     k, frames = grasp_video.frames[0].intrinsics, list(grasp_video.frames)
