@@ -19,11 +19,13 @@ from neuralgrasps.apply.transfer import TransferConfig
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
+from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
 from neuralgrasps.human.joint_errors import root_relative_error
 from neuralgrasps.human.seen import HandBox, SeenJoints
+from neuralgrasps.human.skeleton import joint_points
 from neuralgrasps.model.run_notes import run_folder
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.object_video import follow_object
@@ -73,6 +75,30 @@ def test_a_video_becomes_grasps_that_touch_alike(shown, eyes):
     assert set(found.seconds) == {"object", "hand", "transfer"}
     support = demonstration_support(obj, found.table_O)
     assert support.allows(load_hand("fetch"), found.grasps.X_OH, found.grasps.q, found.grasps.q_pregrasp).all()
+
+
+def test_a_left_hand_is_read_too(shown, eyes):
+    """The video in a mirror; the box is nearly its own image."""
+    obj, frames, truth, known = shown
+    mirrored = [
+        replace(
+            frame, depth=frame.depth[:, ::-1].copy(), colour=None,
+            intrinsics=replace(frame.intrinsics, cx=frame.intrinsics.width - 1 - frame.intrinsics.cx),
+        )
+        for frame in frames[::2]
+    ]  # fmt: skip
+    found = demonstrate(mirrored, obj, load_hand("fetch"), detector=eyes[0], reader=eyes[1], known=known, config=FEW)
+    assert (found.stage, found.reason) == ("", "")
+    track = found.track
+    assert track.side == track.grasp.side == "left" and "left" in found.human.name
+    assert track.scale == pytest.approx(truth.scale, abs=0.03)
+    assert root_relative_error(track.grasp.joints_C, truth.joints_C[2 * track.moment] * [-1.0, 1.0, 1.0]) < 0.012
+    X_CH = found.followed.X_CO[track.moment] @ found.X_OH
+    np.testing.assert_allclose(X_CH, track.grasp.X_CH, atol=1e-9)
+    joints_O = joint_points(found.human, found.X_OH, found.q)
+    seen_O = transform_points_np(inverse_np(found.followed.X_CO[track.moment]), track.grasp.joints_C)
+    np.testing.assert_allclose(joints_O, seen_O, atol=1e-6)
+    assert (found.query.contact_map > 0.5).any() and found.grasps.validated.all()
 
 
 def test_joints_of_another_tool_will_do(shown):
