@@ -54,7 +54,7 @@ def test_the_benchmark_measures_what_it_says(run: Run) -> None:
     assert done == [(1, 1)] and [t.query for t in bench.trials] == [5, 6]
     known, _ = split_grasps(run)
     for trial in bench.trials:
-        assert trial.held and trial.tried >= 0 and trial.source == trial.target == "panda"
+        assert trial.held and trial.generated <= trial.tried <= 24 and trial.source == trial.target == "panda"
         assert trial.similarity >= max(trial.retrieved, trial.generated_alone) - 1e-9
         assert trial.oracle == pytest.approx(trial.oracle_plain)  # the brick of this test has no symmetry
         assert trial.retrieved <= trial.oracle + 1e-6
@@ -98,6 +98,10 @@ def test_figures_leave_out_what_was_not_found(run: Run) -> None:
     figures = transfer_figures(replace(bench, trials=(*bench.trials, lost)))
     assert figures["transfer_success"] == pytest.approx(2 / 3)
     assert figures["transfer_similarity"] == pytest.approx(np.mean([t.similarity for t in bench.trials]))
+    over = [t.similarity - t.oracle for t in bench.trials]
+    assert figures["transfer_without_result"] == 1.0 and transfer_figures(bench)["transfer_without_result"] == 0.0
+    assert figures["transfer_similarity_minus_oracle"] == pytest.approx(np.mean(over))
+    assert figures["transfer_similarity_missing_as_zero_minus_oracle"] == pytest.approx(np.mean([*over, 0.0 - 0.5]))
     assert "transfer_fast_s" not in figures and "retrieve_alone_similarity" not in figures
 
 

@@ -12,7 +12,8 @@ from neuralgrasps.evaluate.shares import wilson_interval
 from neuralgrasps.evaluate.transfer_bench import OTHERS, TransferBench, TransferTrial
 
 FIGURES = (
-    "transfer_success", "transfer_similarity_minus_oracle", "transfer_s", "transfer_similarity", "oracle_similarity",
+    "transfer_success", "transfer_similarity_minus_oracle", "transfer_without_result",
+    "transfer_similarity_missing_as_zero_minus_oracle", "transfer_s", "transfer_similarity", "oracle_similarity",
     "oracle_similarity_no_symmetry", "transfer_similarity_minus_oracle_no_symmetry", "transfer_not_below_oracle",
     "transfer_p95_s", "transfer_wall_s", "transfer_success_hard", "transfer_success_shake", "known_success_hard",
     "known_success_shake", "generated_share", "trials_per_transfer", "retrieve_alone_similarity",
@@ -31,6 +32,8 @@ def transfer_figures(bench: TransferBench) -> dict[str, float]:
     figures = {
         "transfer_success": _mean(trials, lambda t: t.held),
         "transfer_similarity_minus_oracle": _over_oracle(trials),
+        "transfer_without_result": float(sum(not np.isfinite(t.similarity) for t in trials)),
+        "transfer_similarity_missing_as_zero_minus_oracle": _mean(trials, _over_oracle_or_zero),
         "transfer_s": _mean(trials, lambda t: t.cpu_s),
         "transfer_similarity": _mean(trials, lambda t: t.similarity),
         "oracle_similarity": _mean(trials, lambda t: t.oracle),
@@ -106,6 +109,11 @@ def _other(trial: TransferTrial, *, name: str) -> float:
 
 def _over_oracle(trials: Sequence[TransferTrial]) -> float:
     return _mean(trials, lambda t: t.similarity - t.oracle)
+
+
+def _over_oracle_or_zero(trial: TransferTrial) -> float:
+    """Similarity above the oracle's, 0 taken for what was not found."""
+    return (trial.similarity if np.isfinite(trial.similarity) else 0.0) - trial.oracle
 
 
 def _mean(trials: Sequence[TransferTrial], value: Callable[[TransferTrial], float]) -> float:
