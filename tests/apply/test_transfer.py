@@ -246,3 +246,58 @@ def test_what_settles_nearer_than_it_looked_still_comes_in_order(
     assert [item.source for item in chosen] == [2, 1, 0]
     assert [item.difference for item in chosen] == sorted(item.difference for item in chosen)
     assert order.tried == 3
+
+
+def order_of(
+    box_world: BoxWorld, monkeypatch: pytest.MonkeyPatch, items: list[tuple[int, int]], **changes: object
+) -> Order:
+    """Candidates by source and place among the known grasps, the most alike first; all hold."""
+    pair, box = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench"), box_world.grasps
+    config = replace(SHORT, **changes)
+    order = Order(
+        pair, target_of(query_from_contacts(box_world.obj, box_world.obj.points_O[:5])), config,
+        lambda X, q, before: np.ones(len(q), bool), least_epsilon=0.0, seed=0,
+    )  # fmt: skip
+
+    def prove(self: Order, item: Candidate) -> bool:
+        self.tried += 1
+        return True
+
+    monkeypatch.setattr(Order, "_prove", prove)
+    for k, (source, place) in enumerate(items):
+        grasp = box[place]
+        order.add(Candidate("retrieved", source, 0, grasp.X_OH[0], grasp.q[0], 0.1 + 0.01 * k, grasp=grasp))
+    return order
+
+
+def test_few_results_come_from_one_source_while_there_are_others(
+    box_world: BoxWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    items = [(0, 0), (0, 1), (0, 2), (0, 3), (0, 4), (5, 5), (6, 6)]
+
+    def sources(count: int, **changes: object) -> list[int]:
+        return [item.source for item in order_of(box_world, monkeypatch, items, **changes).best(count)]
+
+    assert sources(1) == [0] and sources(4) == [0, 0, 0, 5]
+    assert sources(4, per_source=1) == [0, 0, 5, 6]  # nothing else is left: a second one fills up
+    assert sources(6) == [0, 0, 0, 0, 5, 6]
+    assert sources(4, per_source=None) == sources(4, per_source=0) == [0, 0, 0, 0]
+    assert sources(4, trials=3) == [0, 0, 0, 0]  # most trials are used up: no more for the others
+    with pytest.raises(InputError, match="per_source is -1"):
+        TransferConfig(per_source=-1)
+
+
+def test_what_is_near_to_others_only_fills_up(box_world: BoxWorld, monkeypatch: pytest.MonkeyPatch) -> None:
+    features = grasp_features(box_world.hand, box_world.grasps.X_OH, box_world.grasps.q)
+    apart = np.linalg.norm(features - features[0], axis=1)
+    near = int(np.argsort(apart)[1])
+    far = int(apart.argmax())
+    assert 0.004 < apart[near] < apart[far]
+    items = [(0, 0), (1, near), (2, near), (3, far)]
+    wide = 0.5 * float(apart[near] + apart[far])
+
+    def places(count: int) -> list[int]:
+        return [item.source for item in order_of(box_world, monkeypatch, items, apart_m=wide).best(count)]
+
+    assert places(1) == [0] and places(2) == [0, 3]
+    assert places(4) == [0, 1, 3]  # the near one after all, but not what is the same

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from neuralgrasps.apply.demonstrate_checks import depth_trouble
-from neuralgrasps.apply.demonstrate_rules import TableRules, transfer_under
+from neuralgrasps.apply.demonstrate_rules import TableRules, table_support, transfer_under
 from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_grasp
 from neuralgrasps.errors import InputError
@@ -40,7 +40,6 @@ _MASK_RIM = 4  # pixels round a hand's mask that are its, too
 _ARM_M = (0.02, 0.5, 0.05)  # where a forearm is: so far into the hand, so far behind the wrist, so wide there
 _ARM_SPREAD = 0.5  # wider by so much per metre, for a wrist that bends
 _BOX_ROOM = 0.25  # of a hand's box is left out around it too
-_TABLE_CLEARANCE_M, _RETREAT_M = 0.004, 0.10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +52,7 @@ class DemonstrateConfig:
     """
 
     watch: WatchConfig = field(default_factory=WatchConfig)
-    transfer: TransferConfig = field(default_factory=lambda: TransferConfig(count=40, trials=40))
+    transfer: TransferConfig = field(default_factory=lambda: TransferConfig(count=40, trials=60, apart_m=0.015))
     on_table: bool = True
 
 
@@ -251,5 +250,4 @@ def demonstration_support(obj: ObjectModel, table_O: Plane | None) -> Support | 
     """The table that grasps must clear: of the nearest resting pose where there is one, else as it was seen."""
     if table_O is None:
         return None
-    plane = nearest_resting_plane(obj, table_O) or table_O
-    return Support(plane=plane, clearance_m=_TABLE_CLEARANCE_M, retreat_m=_RETREAT_M)
+    return table_support(nearest_resting_plane(obj, table_O) or table_O)

@@ -19,6 +19,7 @@ from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.synthesis.support import Support
 
+_CLEARANCE_M, _RETREAT_M = 0.004, 0.10  # that the robot's hand keeps from the table, and goes back straight
 TableRules = Callable[[Plane | None], Constraint]  # the table in the object's frame, normal up, as it was seen
 
 
@@ -74,6 +75,11 @@ def rules_from_text(
         )
     ways = [Plane(axis, 0.0) for axis in AXES.values()] if _needs_up(fields) else [None]
     return TextRules(obj=obj, fields=fields, names=_possible(TextRules(obj=obj, fields=fields, names=()), ways).names)
+
+
+def table_support(plane_O: Plane) -> Support:
+    """The table that grasps of a demonstration must clear, when they are found and when they are carried out."""
+    return Support(plane=plane_O, clearance_m=_CLEARANCE_M, retreat_m=_RETREAT_M)
 
 
 def transfer_under(

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from neuralgrasps.apply.demonstrate_rules import table_support
 from neuralgrasps.apply.pick_up import PickUpConfig, Planner, proof_of_lift, within_limits
 from neuralgrasps.arms.manipulator import Manipulator
 from neuralgrasps.geometry.plane import Plane
@@ -21,11 +22,9 @@ from neuralgrasps.planning.pick import PickResult, plan_pick
 from neuralgrasps.planning.reach import beyond_reach
 from neuralgrasps.planning.resting_plane import nearest_resting_plane
 from neuralgrasps.planning.world import PlanningWorld
-from neuralgrasps.synthesis.support import Support
 
 _ORDER_WEIGHT = 1.0e3  # of a place in the order: nothing else that ranks grasps comes near it
 _FRICTIONS = (0.75, 1.0)  # shares of the object's friction that a grasp must lift it with: with a margin, if one can
-_CLEARANCE_M, _RETREAT_M = 0.004, 0.10
 
 
 def ordered_planner(grasps: GraspSet) -> Planner:
@@ -64,7 +63,7 @@ def _plan(
     q_arm, cpu = within_limits(manipulator, q_arm), time.thread_time()
     motions = target.obj.symmetry.rotations
     tiers = [_copies(hand, grasps, motions[:1]), _copies(hand, grasps, motions[1:])]
-    support = Support(plane=plane_O, clearance_m=_CLEARANCE_M, retreat_m=_RETREAT_M)
+    support = table_support(plane_O)
     tried: PickResult | None = None
     planned = 0.0
     for friction in _frictions(target.obj, plane_O):

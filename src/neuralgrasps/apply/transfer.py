@@ -148,7 +148,8 @@ class _Transfer:
 
     def run(self) -> TransferResult:
         config = self.config
-        wanted = max(config.count, config.search.starts)
+        starts = config.search.starts
+        wanted = starts if config.count <= starts else 2 * config.count  # some will be too near to others, or fall
         turn = config.use_symmetry and len(self.pair.turned) > 1
         ranked = self._ranked(wanted, turn=turn)
         plain = self._ranked(1, turn=False) if turn else ranked

@@ -32,7 +32,10 @@ class TransferConfig:
         count: grasps wanted. trials: most grasps that are tried in physics.
         protocol: physics protocol that decides.
         use_symmetry: also take known grasps as the object's symmetry turns them.
-        apart_m: grasps of one answer differ at least by so much (`grasp_features`).
+        apart_m: grasps of one answer differ by so much (`grasp_features`) while there are others; by 4 mm always,
+            unless `apart_m` is less.
+        per_source: most grasps of one answer that come from the same known grasp (or the query's palm) while others
+            are left; None or 0: no limit.
         search: how new grasps are looked for; sturdy: those whose epsilon is below this share of the known grasps'
             median are dropped: they would hold less often than known ones where friction or weight are not as told.
         synthesise: grasps that are made on the spot where none are known.
@@ -47,6 +50,7 @@ class TransferConfig:
     protocol: str = "dexgraspbench"
     use_symmetry: bool = True
     apart_m: float = 0.004
+    per_source: int | None = 3
     search: SearchConfig = field(default_factory=SearchConfig)
     sturdy: float = 0.4
     synthesise: int = 40
@@ -67,6 +71,8 @@ class TransferConfig:
             raise InputError(f"transfer: sturdy is {self.sturdy}; expected a share of 0 or more.")
         if not 0 <= self.apart_m < np.inf:
             raise InputError(f"transfer: apart_m is {self.apart_m}; expected 0 or more, metres.")
+        if self.per_source is not None and self.per_source < 0:
+            raise InputError(f"transfer: per_source is {self.per_source}; expected 0 or more, or None.")
         get_protocol(self.protocol)
 
 

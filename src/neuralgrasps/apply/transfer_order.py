@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,8 @@ from neuralgrasps.synthesis.finish import finish_grasps
 from neuralgrasps.synthesis.select import grasp_features
 
 _ROUGH = 0.97  # differences at some points only, before settling, are about so sure: finish before ruling out
+_FOR_OTHERS = 0.75  # of the trials may go to sources that have given little; the rest is for the most alike
+_SAME_M = 0.004  # grasps that differ by less are one
 AllowsGrasps = Callable[[np.ndarray, np.ndarray, np.ndarray | None], np.ndarray]
 
 
@@ -76,18 +79,35 @@ class Order:
         self._items.append(candidate)
 
     def best(self, count: int) -> list[Candidate]:
-        """Up to `count` that hold, the most alike first, apart from each other."""
+        """Up to `count` that hold, the most alike first, apart from each other, and few from one source.
+
+        What is nearer to others than wanted, or of a source that has given enough, fills up the answer when there is
+        nothing else, or most trials are used up; twice as many from a source then, and half as far apart.
+        """
         chosen: list[Candidate] = []
-        while self._queue and len(chosen) < count:
-            _, index = heapq.heappop(self._queue)
+        spare: list[tuple[float, int]] = []
+        given, config = Counter[int](), self._config
+        most, apart_m = config.per_source or count, config.apart_m
+        least_m, reserve = min(apart_m, _SAME_M), _FOR_OTHERS * config.trials
+        while len(chosen) < count and (self._queue or spare):
+            if not self._queue or self.tried >= reserve:
+                self._queue, spare = sorted(self._queue + spare), []
+                most, apart_m = 2 * most, max(apart_m / 2, least_m)
+                reserve = np.inf
+            key, index = heapq.heappop(self._queue)
             item = self._items[index]
-            if not self._is_new(item):
+            apart = self._apart(item)
+            if given[item.source] >= most or least_m <= apart < apart_m:
+                spare.append((key, index))
+                continue
+            if apart < least_m:
                 continue
             if item.grasp is None:  # it keeps its place only if its finished self is as near
                 if self._finish(item):
                     heapq.heappush(self._queue, (item.difference, index))
             elif item.proven or self._prove(item):
                 chosen.append(item)
+                given[item.source] += 1
                 self._taken.append(self._features(item))
         return sorted(chosen, key=lambda item: item.difference)
 
@@ -95,9 +115,10 @@ class Order:
         X_OH, q = (item.X_OH[None], item.q[None]) if item.grasp is None else (item.grasp.X_OH, item.grasp.q)
         return grasp_features(self._pair.problem.hand, X_OH, q)[0]
 
-    def _is_new(self, item: Candidate) -> bool:
+    def _apart(self, item: Candidate) -> float:
+        """How far it is from the nearest that was chosen, metres of `grasp_features`."""
         own = self._features(item)
-        return all(float(np.linalg.norm(own - other)) >= self._config.apart_m for other in self._taken)
+        return min((float(np.linalg.norm(own - other)) for other in self._taken), default=np.inf)
 
     def _finish(self, item: Candidate) -> bool:
         """Settle a closed hand and compare its exact contact map; False where it is no grasp after all."""
