@@ -18,8 +18,8 @@ _NOTES = {
     "chose nothing, beside the shares of the known grasps there",
     "similarity": "1 - d / D: d the mean absolute difference of contact maps at 2,048 points; D the largest d of the "
     "object's matrix of unseen and known grasps of all hands (the published normalisation)",
-    "transfer_without_result": "number of queries for which nothing that holds was found; they are in transfer_success, "
-    "but in no mean similarity, nor in transfer_similarity_minus_oracle; "
+    "transfer_without_result": "number of queries for which nothing that holds was found; they are in "
+    "transfer_success, but in no mean similarity, nor in transfer_similarity_minus_oracle; "
     "transfer_similarity_missing_as_zero_minus_oracle has them with similarity 0",
     "oracle": "the known grasp of the target hand most alike, in every orientation that the object's symmetry allows; "
     "no_symmetry: as it is. Whether the turned grasp holds is not asked of the oracle",
