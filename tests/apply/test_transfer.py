@@ -163,7 +163,7 @@ def test_hand_and_object_that_nobody_has_seen(
     bare = transfer(query, box_world.hand, obj, known=none, config=config)  # only the query's palm to start from
     assert np.isnan(bare.oracle) and (len(bare.grasps) == 0 or bare.source[0] == -1)
     blind = transfer(replace(query, X_OP=None), box_world.hand, obj, known=none, config=config)
-    assert len(blind.grasps) == 0 and "no grasp of this hand on this object is known" in blind.reason
+    assert len(blind.grasps) == 0 and "no grasp of this hand on this object is known." in blind.reason
 
 
 def test_drawn_contacts_are_touched(box_world: BoxWorld) -> None:
@@ -189,7 +189,7 @@ def test_a_grasp_that_the_hand_cannot_make_is_explained(
     assert touched_sides(query, pair.problem) == 2
     assert touched_sides(query_from_contacts(obj, obj.points_O[::5]), pair.problem) == 6
     result = transfer(query, box_world.hand, obj, config=replace(FAST, synthesise=4, count=1))
-    assert "the query holds 'crate' across 120 mm, hand 'panda' opens 80 mm" in result.reason
+    assert "The query holds 'crate' across 120 mm, hand 'panda' opens 80 mm" in result.reason
     assert len(result.grasps) == 1 and f"similarity {result.similarity[0]:.2f}" in result.reason
     assert "the nearest feasible grasp" in result.reason
 

@@ -52,7 +52,8 @@ class TransferResult:
         oracle: similarity of the known grasp most alike, turned by the object's symmetry; oracle_plain: without; nan
             where none is known. scale: difference that has similarity 0.
         tried: grasps tried in physics.
-        reason: why there are fewer than wanted, or none, or why they touch otherwise than asked; "" when all is well.
+        reason: in sentences, why there are fewer than wanted, or none, or why they touch otherwise than asked; "" when
+            all is well.
         nearest: where nothing holds, the candidate most alike (0 or 1 grasps); nearest_similarity: its, or nan.
     """
 
@@ -242,15 +243,15 @@ class _Transfer:
         )
         nearest = min(self.order.failed, key=lambda c: c.difference) if self.order.failed and not chosen else None
         config = self.config
-        reason = ""
+        said: list[str] = []
+        if not chosen or similarity[0] < config.alike:
+            said.append(why_unlike(self.query, self.pair.problem, float(similarity[0]) if chosen else None))
         if len(chosen) < config.count:
-            reason = why_short(
+            short = why_short(
                 config, found=len(chosen), tried=self.order.tried, known=self.grasps, allowed=len(ranked.row),
                 ruled=bool(self.rules),
             )  # fmt: skip
-        if not chosen or similarity[0] < config.alike:
-            unlike = why_unlike(self.query, self.pair.problem, float(similarity[0]) if chosen else None)
-            reason = "; ".join(text for text in (unlike, reason) if text)
+            said.append(short)
         return TransferResult(
             grasps=concatenate([c.grasp for c in chosen if c.grasp is not None]) if chosen else none,
             similarity=similarity,
@@ -262,7 +263,7 @@ class _Transfer:
             oracle_plain=oracle_plain,
             scale=scale,
             tried=self.order.tried,
-            reason=reason,
+            reason=" ".join(f"{text[0].upper()}{text[1:]}." for text in said),
             nearest=none if nearest is None or nearest.grasp is None else nearest.grasp,
             nearest_similarity=float("nan") if nearest is None else 1.0 - nearest.difference / scale,
         )

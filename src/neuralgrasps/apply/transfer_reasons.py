@@ -39,7 +39,7 @@ def why_short(config: TransferConfig, *, found: int, tried: int, known: GraspSet
     """
     said = [f"{found} of {config.count} grasps found"]
     if shortfall := known.config.get("shortfall", ""):
-        said.append(shortfall)
+        said.append(str(shortfall).rstrip("."))
     elif len(known) == 0:
         said.append("no grasp of this hand on this object is known")
     elif ruled and allowed == 0:

@@ -293,7 +293,7 @@ def _show(terminal: Terminal, record: dict[str, Any]) -> None:
     )
     terminal.facts(facts)
     if record["reason"]:
-        terminal.say(f"Note: {record['reason']}.")
+        terminal.say(f"Note: {record['reason']}")
     if record["constraints_on_known"]:
         terminal.say(f"Known grasps: {record['constraints_on_known']}.")
     if not rows and math.isfinite(record["nearest_similarity"]):

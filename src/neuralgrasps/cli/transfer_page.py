@@ -76,7 +76,7 @@ def _notes(record: Mapping[str, Any]) -> list[str]:
     if record["note"]:
         notes.append(record["note"].removeprefix("warning: "))
     if record["reason"]:
-        notes.append(f"{record['reason'][:1].upper()}{record['reason'][1:]}.")
+        notes.append(record["reason"])
     if record["constraints_on_known"]:
         notes.append(f"Known grasps: {record['constraints_on_known']}.")
     return notes
