@@ -161,6 +161,28 @@ def test_derivatives_are_those_of_the_cost() -> None:
     np.testing.assert_allclose(slope, numeric, atol=1e-5 * np.abs(slope).max())
 
 
+def test_derivatives_of_points_that_the_front_hides() -> None:
+    """Of points behind the hand, which count by how far along the ray its front is."""
+    true = _posed(3)
+    frame, mask = _frame_of(true)
+    cloud = 1.03 * back_project(frame.depth, CAMERA, mask=mask)[::400]
+    config = HandFitConfig(cloud_width_m=0.05)
+    seen = _seen(true, noise_m=0.0)
+    problem = hand_problem(seen, cloud, side="right", scale=0.8, obj=None, frame=None, config=config)
+    packed, off = pack_shapes(human_hand()), []
+    for point in cloud:
+        alone = problem._replace(joint_weight=np.zeros(21), cloud_C=point[None].copy())
+        slope = hand_cost(packed, alone, true.X_CH, true.q, 0.8)[1][:3]
+        costs = []
+        for step in np.concatenate([np.eye(3), -np.eye(3)]) * 1e-6:
+            X = true.X_CH.copy()
+            X[:3, 3] += 0.8 * X[:3, :3] @ step
+            costs.append(hand_cost(packed, alone, X, true.q, 0.8)[0])
+        numeric = (np.array(costs[:3]) - costs[3:]) / 2e-6
+        off.append(np.linalg.norm(slope - numeric) / max(np.linalg.norm(numeric), 1e-9))
+    assert len(off) > 5 and np.median(off) < 0.1
+
+
 def test_joints_stay_within_limits() -> None:
     true = _posed(4)
     fit, tree = fit_hand(_seen(true, noise_m=0.05, seed=1), None, side="right", scale=0.8), human_hand().tree

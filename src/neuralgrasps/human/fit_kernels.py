@@ -1,9 +1,10 @@
-"""What a fit of a human hand to seen joints and depth points lowers, compiled, with exact derivatives. Torch-free.
+"""What a fit of a human hand to seen joints and depth points lowers, compiled, with its derivatives. Torch-free.
 
 It is minus twice the logarithm of a posterior, without units. Unknown are the hand's pose, its joints and one size: a
 point x of the hand of size 1, in its base frame, comes to R s x + t in the camera's. All rows are made in the frame and
 size of that hand of size 1; rows of one link are summed as a 7 x 7 matrix (base twist and log of the size) before the
-kinematics, so that joints do not raise the cost of a point.
+kinematics, so that joints do not raise the cost of a point. The derivatives are exact but for points whose ray grazes
+the front of the hand (`_GRAZING`), and up to 0.3 mm by which the search along a ray ends early.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from neuralgrasps.human.fit_problem import ROW, new_hand_work
 from neuralgrasps.model.fit_kernels import gradient_in_H, link_twists, nearest_of_parts, part_poses_H
 
 _AWAY = 0.3  # cosine of the ray and a surface's normal, from which on a point cannot be seen there
+_GRAZING = 0.3  # the same from which on a ray's residual changes no faster with the surface
 _BEFORE_M, _MARCH = 0.15, 24
 
 
@@ -113,7 +115,7 @@ def _front(packed, X_PH, centre_H, part, x, y, z, dx, dy, dz):  # type: ignore[n
 
 @njit(cache=True, error_model="numpy")
 def _cloud_rows(packed, problem, X_CH, scale, work):  # type: ignore[no-untyped-def]
-    """Distances of the cloud's points to the hand: to its front where the nearest surface is turned away."""
+    """Distances of the cloud's points to the hand; along the ray to its front where the nearest surface faces away."""
     total, square = 0.0, scale * scale
     ox, oy, oz = in_hand(X_CH, scale, (0.0, 0.0, 0.0))  # the camera
     for m in range(problem.cloud_C.shape[0]):
@@ -121,7 +123,7 @@ def _cloud_rows(packed, problem, X_CH, scale, work):  # type: ignore[no-untyped-
         r, part = nearest_of_parts(packed, work.X_PH, work.centre_H, work.hint[m], x, y, z)
         work.hint[m] = part
         gx, gy, gz = gradient_in_H(packed, work.X_PH, part, x, y, z)
-        dx, dy, dz = x - ox, y - oy, z - oz
+        dx, dy, dz, more = x - ox, y - oy, z - oz, r
         far = math.sqrt(dx * dx + dy * dy + dz * dz)
         dx, dy, dz = dx / far, dy / far, dz / far
         if gx * dx + gy * dy + gz * dz > _AWAY:
@@ -129,8 +131,10 @@ def _cloud_rows(packed, problem, X_CH, scale, work):  # type: ignore[no-untyped-
             if front >= 0:
                 part = front
                 gx, gy, gz = gradient_in_H(packed, work.X_PH, part, hx, hy, hz)
-                r = gx * (x - hx) + gy * (y - hy) + gz * (z - hz)  # to the plane that touches the front there
-                x, y, z = hx + r * gx, hy + r * gy, hz + r * gz
+                along = min(gx * dx + gy * dy + gz * dz, -_GRAZING)
+                r = dx * (x - hx) + dy * (y - hy) + dz * (z - hz)
+                gx, gy, gz, more = gx / along, gy / along, gz / along, 0.0  # the ray stays, where it hits moves
+                x, y, z = hx, hy, hz
         cost, w = bounded_cost(square * r * r, problem.cloud_width)
         total += problem.cloud_weight * cost
         w *= problem.cloud_weight * square
@@ -138,7 +142,7 @@ def _cloud_rows(packed, problem, X_CH, scale, work):  # type: ignore[no-untyped-
             continue
         link = packed.part_link[part]
         # the point stays, the hand moves; growing, the surface at x - r g moves by itself
-        _add_row(work.G[link], work.h[link], -gx, -gy, -gz, x, y, z, r, r, w)
+        _add_row(work.G[link], work.h[link], -gx, -gy, -gz, x, y, z, more, r, w)
     return total
 
 
