@@ -81,6 +81,12 @@ def test_a_box_is_lifted_and_held(lifted) -> None:
     assert attempt.pose_right and attempt.pose_error_mm < 2.0 and attempt.frame is not None
 
 
+def test_a_trial_says_in_a_line_what_came_of_it(lifted) -> None:
+    assert repr(lifted) == f"Trial(gelatin_box by fetch: lifted {1e3 * lifted.attempts[0].lifted_m:.0f} mm)"
+    failed = replace(lifted, success=False, success_retry=False, cause="slip")
+    assert repr(failed) == "Trial(gelatin_box by fetch: not lifted, slip)"
+
+
 def test_executed_paths_are_checked_again(lifted) -> None:
     checks = lifted.attempts[0].rechecks
     assert len(checks) == 3 and all(check.free for check in checks) and all(check.samples > 50 for check in checks)

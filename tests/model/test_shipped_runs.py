@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ from neuralgrasps.dataset.samples import contact_maps
 from neuralgrasps.errors import InputError
 from neuralgrasps.evaluate.retrieval import score_codebook
 from neuralgrasps.hands.zoo import hand_names, load_hand
-from neuralgrasps.model.checkpoint import load_run, run_folder, shipped_runs
+from neuralgrasps.model.checkpoint import load_run, run_folder, run_grasps, shipped_runs
 from neuralgrasps.objects.builtin import STAND_INS
 from neuralgrasps.objects.zoo import load_object
 
@@ -30,6 +31,15 @@ def test_both_runs_are_there_and_small() -> None:
         assert (run_folder(name) / "README.md").is_file()
     with pytest.raises(InputError, match="standins7, ycb7"):
         run_folder("ycb8")
+
+
+def test_grasps_of_one_object_need_no_other_and_only_its_own_surface(hands) -> None:
+    can = load_object("tomato_soup_can")
+    grasps = run_grasps("standins7", hands["fetch"], can)
+    assert grasps is not None and (grasps.hand, grasps.object, len(grasps)) == ("fetch", "tomato_soup_can", 60)
+    assert run_grasps("ycb7", hands["fetch"], can) is None
+    with pytest.raises(InputError, match=r"'tomato_soup_can'.* mm off"):
+        run_grasps("standins7", hands["fetch"], replace(load_object("gelatin_box"), name="tomato_soup_can"))
 
 
 def test_the_run_of_the_stand_ins_is_of_these_hands_and_objects(hands) -> None:
