@@ -118,6 +118,9 @@ def test_a_camera_that_moves_and_knows_it_changes_nothing(film, things, look, st
     found = follow_object(frames, obj)
     assert found.moves_from is None
     assert max(_errors(obj, found.X_CO, truth)) < 2e-3
+    frames[2] = Frame(frames[2].depth, frames[2].intrinsics, name="third")
+    with pytest.raises(InputError, match=r"1 of 6 frames have no camera pose X_WC: 2 \('third'\)"):
+        follow_object(frames, obj)
 
 
 def test_another_thing_is_not_taken_for_it(things, look, standing):

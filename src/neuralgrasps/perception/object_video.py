@@ -61,15 +61,16 @@ def follow_object(
     """Find an object that stands on a table at first, and follow it.
 
     Args:
-        frames: of one camera. It stands still unless all frames have a camera pose `X_WC`.
+        frames: of one camera. It is at rest, or all frames have a camera pose `X_WC`.
         hidden: pixels to leave out when it is looked for, such as a hand's box. A hand before the object is no sign
             that it has gone, so that following needs no mask.
         seed: of the searches.
     Raises:
-        InputError: no frames.
+        InputError: no frames, or some without the pose of a camera that moves.
     """
     if not frames:
         raise InputError("there are no frames to look for the object in; expected at least one.")
+    camera_poses(frames)  # refused at once when the camera moves and some frames do not say where
     hidden = hidden or (lambda _: None)
     best, reason = None, "no frame"
     for index in _order(len(frames), hidden):
