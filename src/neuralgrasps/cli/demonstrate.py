@@ -104,7 +104,9 @@ def demonstrate(
     rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
     shown = read_shown(terminal, rgbd, source)
     known = _known(terminal, obj, robot_hand, grasps)
-    config = replace(DemonstrateConfig().transfer, count=count, trials=max(3 * count // 2, _LEAST_TRIALS), method=method)
+    config = replace(
+        DemonstrateConfig().transfer, count=count, trials=max(3 * count // 2, _LEAST_TRIALS), method=method
+    )
     demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
     bound = None if rules is None or demo.transfer is None else rules(demo.table_O)
     if demo.stage == "transfer" and bound is not None:
