@@ -8,7 +8,8 @@ import pytest
 from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.human.crop import CROP, DEPTH_UNIT_M, crop_points, full_mask, middle_depth, mirrored, take_crop
 from neuralgrasps.human.joint_images import CAMERA, CropMix, make_crops
-from neuralgrasps.human.random_scene import HAND, SceneMix, draw_scene, random_scene
+from neuralgrasps.human.random_scene import SceneMix, draw_scene, random_scene
+from neuralgrasps.human.scene_surroundings import HAND
 from tests.human.human_scenes import small_kit
 
 VIEW = Intrinsics(CAMERA[0], CAMERA[0], CAMERA[1], CAMERA[2], CAMERA[3], CAMERA[4])

@@ -15,7 +15,8 @@ from neuralgrasps.human.joint_errors import procrustes_error, root_relative_erro
 from neuralgrasps.human.joint_net import JointNet
 from neuralgrasps.human.joint_reader import JointReader, box_of_joints
 from neuralgrasps.human.net_files import save_weights
-from neuralgrasps.human.random_scene import HAND, SceneMix, draw_scene, random_scene
+from neuralgrasps.human.random_scene import SceneMix, draw_scene, random_scene
+from neuralgrasps.human.scene_surroundings import HAND
 from neuralgrasps.human.seen import HandBox
 from neuralgrasps.perception.frame import Frame
 from tests.human.human_scenes import small_kit

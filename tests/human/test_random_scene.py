@@ -12,17 +12,8 @@ from neuralgrasps.geometry.mesh import is_closed, sphere_mesh
 from neuralgrasps.hands.signed_distance import hand_signed_distance
 from neuralgrasps.hands.variants import scaled_hand
 from neuralgrasps.human.grasp_bank import load_bank, random_solid, save_bank, thinned
-from neuralgrasps.human.random_scene import (
-    BACKGROUND,
-    CLUTTER,
-    FOREARM,
-    HAND,
-    OBJECT,
-    TABLE,
-    SceneMix,
-    draw_scene,
-    random_scene,
-)  # fmt: skip
+from neuralgrasps.human.random_scene import SceneMix, draw_scene, random_scene
+from neuralgrasps.human.scene_surroundings import BACKGROUND, CLUTTER, FOREARM, HAND, OBJECT, TABLE
 from neuralgrasps.human.skeleton import human_hand, joint_points
 from tests.human.human_scenes import small_bank, small_kit
 

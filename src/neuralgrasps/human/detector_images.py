@@ -18,8 +18,9 @@ from neuralgrasps.human.detector_room import Props, make_props, plane_frame, ran
 from neuralgrasps.human.detector_view import FOCAL_PX
 from neuralgrasps.human.grasp_bank import GraspBank
 from neuralgrasps.human.image_noise import draw_noise, sense_image
-from neuralgrasps.human.random_scene import FOREARM, HAND, TABLE, SceneMix, compose_scene, scene_buffers
+from neuralgrasps.human.random_scene import SceneMix, compose_scene, scene_buffers
 from neuralgrasps.human.scene_kit import scene_kit
+from neuralgrasps.human.scene_surroundings import FOREARM, HAND, TABLE
 from neuralgrasps.seeds import child_rng
 
 HEIGHT, WIDTH = 128, 160

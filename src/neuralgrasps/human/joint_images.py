@@ -13,8 +13,9 @@ from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.raster import NEAR_M, raster_labels
 from neuralgrasps.human.crop import BOX_MARGIN, CROP, DEPTH_UNIT_M, fill_input, middle_depth
 from neuralgrasps.human.image_noise import draw_noise, sense_image
-from neuralgrasps.human.random_scene import HAND, SceneMix, compose_scene, scene_buffers
+from neuralgrasps.human.random_scene import SceneMix, compose_scene, scene_buffers
 from neuralgrasps.human.scene_kit import SceneKit
+from neuralgrasps.human.scene_surroundings import HAND
 from neuralgrasps.parallel import blocks
 
 CAMERA = (580.0, 319.5, 239.5, 640, 480)
