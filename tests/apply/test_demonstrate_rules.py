@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from neuralgrasps.apply.constraints import GraspConstraints
-from neuralgrasps.apply.demonstrate import DemonstrateConfig, demonstrate
+from neuralgrasps.apply.demonstrate import DemonstrateConfig, demonstrate, demonstration_support
 from neuralgrasps.apply.demonstrate_rules import rules_from_text, transfer_under
 from neuralgrasps.apply.regions import Side
 from neuralgrasps.apply.transfer import TransferConfig
@@ -117,3 +117,19 @@ def test_an_object_stands_on_the_plane_that_was_seen():
     assert np.linalg.det(X_WO[:3, :3]) == pytest.approx(1.0)
     assert X_WO[:3, :3] @ normal == pytest.approx([0.0, 0.0, 1.0])
     assert (X_WO @ [*(-0.07 * normal), 1.0])[2] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_where_no_known_grasp_clears_the_table_new_ones_are_made_for_it():
+    obj, hand = load_object("gelatin_box"), load_hand("fetch")
+    known = load_grasps(run_folder("standins7") / "grasps" / obj.name / "fetch.safetensors")
+    human = load_grasps(run_folder("standins7") / "grasps" / obj.name / "human.safetensors")
+    support = demonstration_support(obj, Plane(np.array([0.0, 0.0, 1.0]), float(-obj.mesh.bounds[0, 2])))
+    meets = ~support.allows(hand, known.X_OH, known.q, known.q_pregrasp)
+    assert meets.sum() >= 5
+    query = query_from_grasp(load_hand("human"), obj, human.X_OH[0], human.q[0])
+    found = transfer_under(
+        query, hand, obj, known=known[meets], config=TransferConfig(count=3, synthesise=12), support=support,
+        constraints=None, seed=0,
+    )  # fmt: skip
+    assert len(found.grasps) == 3
+    assert support.allows(hand, found.grasps.X_OH, found.grasps.q, found.grasps.q_pregrasp).all()

@@ -49,12 +49,16 @@ def with_constrained(
         ("constrained", pair_fingerprint(hand, aimed), settings, seed, support),
         lambda: synthesise(hand, aimed, config=settings, seed=seed, support=support).grasps,
     )
-    made = made[_met(constraints, support, hand, made)]
+    return with_more(hand, constraints.obj, known, made[_met(constraints, support, hand, made)], protocol=protocol)
+
+
+def with_more(hand: Hand, obj: ObjectModel, known: GraspSet, made: GraspSet, *, protocol: str) -> GraspSet:
+    """Known grasps and newly made ones as one set; with the verdicts of the protocol where both sets have them."""
     if not len(made):
         return known
     if not len(known):
         return made
-    both = [_judged_by(hand, constraints.obj, one, protocol) for one in (known, made)]
+    both = [_judged_by(hand, obj, one, protocol) for one in (known, made)]
     agreed = all(protocol in one.verdicts for one in both)
     return concatenate([one if agreed else replace(one, verdicts={}) for one in both])
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from neuralgrasps.apply.constrained_grasps import ENOUGH, with_constrained
+from neuralgrasps.apply.constrained_grasps import ENOUGH, with_constrained, with_more
 from neuralgrasps.apply.constraint_text import constraint_fields
 from neuralgrasps.apply.constraints import MARGIN_M, GraspConstraints
 from neuralgrasps.apply.regions import AXES, Side
@@ -93,14 +93,19 @@ def transfer_under(
     constraints: Constraint | None,
     seed: int,
 ) -> TransferResult:
-    """`transfer`; where few known grasps meet constraints on regions or approach, new ones are aimed at them first."""
+    """`transfer`; where few known grasps clear the table or meet the constraints, new ones are made for these first."""
+    enough = min(config.count, ENOUGH)
+    if known is not None and support is not None and len(known):
+        clear = support.allows(hand, known.X_OH, known.q, known.q_pregrasp)
+        if int(clear.sum()) < enough:
+            made = made_grasps(hand, obj, config, support=support, seed=seed)
+            known = with_more(hand, obj, known, made, protocol=config.protocol)
     if isinstance(constraints, GraspConstraints) and constraints:
         if known is None:
             known = made_grasps(hand, obj, config, support=support, seed=seed)
         known = with_constrained(
-            constraints, hand, known, protocol=config.protocol, enough=min(config.count, ENOUGH), support=support,
-            seed=seed,
-        )  # fmt: skip
+            constraints, hand, known, protocol=config.protocol, enough=enough, support=support, seed=seed
+        )
     return transfer(query, hand, obj, known=known, config=config, support=support, constraints=constraints, seed=seed)
 
 
