@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.geometry.plane import Plane
+from neuralgrasps.geometry.plane import Plane, standing_on
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.sim.table_lift import LiftConfig, _upright, try_lifts
+from neuralgrasps.sim.table_lift import LiftConfig, try_lifts
 
 from .toy import HALF, toy_box, toy_grasps
 
@@ -43,10 +43,10 @@ def test_weight_and_friction_decide(hand: Hand) -> None:
 def test_table_is_put_level() -> None:
     normal = np.array([0.6, 0.0, 0.8])
     plane = Plane(normal, 0.07)
-    level = plane.moved(_upright(plane))
+    level = plane.moved(standing_on(plane))
     np.testing.assert_allclose(level.normal, [0, 0, 1], atol=1e-12)
     assert level.offset_m == pytest.approx(0.0, abs=1e-12)
-    assert np.linalg.det(_upright(plane)[:3, :3]) == pytest.approx(1.0)
+    assert np.linalg.det(standing_on(plane)[:3, :3]) == pytest.approx(1.0)
 
 
 def test_same_verdict_twice_and_alone(hand: Hand, box: ObjectModel) -> None:
