@@ -162,8 +162,19 @@ def test_a_camera_that_moves_without_saying_where_is_refused(shown):
         demonstrate(said, obj, load_hand("fetch"), joints=[None] * 3)
 
 
-def test_no_frames_is_an_error(shown):
-    obj, *_ = shown
+def test_joints_that_lie_apart_from_the_depth_are_not_believed(shown):
+    obj, frames, truth, known = shown
+    off = [
+        None if j is None else replace(j, points_C=j.points_C + np.array([0.0, 0.0, -0.07])) for j in true_joints(truth)
+    ]
+    found = demonstrate(frames, obj, load_hand("fetch"), joints=off, known=known, config=FEW)
+    assert found.stage == "grasp" and found.grasps is None
+
+
+def test_no_frames_or_joints_of_others_are_an_error(shown):
+    obj, frames, truth, _ = shown
+    with pytest.raises(InputError, match="joints are given for"):
+        demonstrate(frames, obj, load_hand("fetch"), joints=true_joints(truth)[:-1])
     with pytest.raises(InputError, match="no frames"):
         demonstrate([], obj, load_hand("fetch"))
 

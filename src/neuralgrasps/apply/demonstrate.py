@@ -49,11 +49,13 @@ class DemonstrateConfig:
     Attributes:
         watch: how the hand is watched. transfer: how grasps are transferred.
         on_table: grasps must clear the table that the object stands on.
+        least_confidence: of the fitted hand; with less nothing is transferred.
     """
 
     watch: WatchConfig = field(default_factory=WatchConfig)
     transfer: TransferConfig = field(default_factory=lambda: TransferConfig(count=40, trials=60, apart_m=0.015))
     on_table: bool = True
+    least_confidence: float = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -138,6 +140,10 @@ def demonstrate(
     config = config or DemonstrateConfig()
     if not frames:
         raise InputError("there are no frames to watch; expected at least one.")
+    if joints is not None and len(joints) != len(frames):
+        raise InputError(
+            f"joints are given for {len(joints)} frames, but there are {len(frames)}; give None for a gap."
+        )
     camera_poses(frames)  # refused at once when the camera moves and some frames do not say where
     if joints is None and detector is None:
         detector, reader = load_hand_eyes(reader)
@@ -155,6 +161,8 @@ def demonstrate(
     clock("hand")
     if track.grasp is None:
         return replace(so_far, track=track, stage=track.stage, reason=track.reason)
+    if track.grasp.confidence < config.least_confidence:
+        return replace(so_far, track=track, stage="grasp", reason=_doubtful(track.grasp))
     human, X_OH = grasp_in_object(track.grasp, followed.X_CO[track.moment])
     query = query_from_grasp(human, obj, X_OH, track.grasp.q)
     so_far = replace(so_far, track=track, human=human, X_OH=X_OH, q=track.grasp.q, query=query)
@@ -169,6 +177,11 @@ def demonstrate(
     clock("transfer")
     so_far = replace(so_far, transfer=found)
     return so_far if len(found.grasps) else replace(so_far, stage="transfer", reason=found.reason)
+
+
+def _doubtful(fitted: FittedHand) -> str:
+    why = f": {' '.join(fitted.reasons)}" if fitted.reasons else "."
+    return f"what was taken for the hand is one with a confidence of {fitted.confidence:.2f} only{why}"
 
 
 def _first_table(frames: Sequence[Frame], followed: FollowedObject) -> Plane | None:
