@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from safetensors import SafetensorError
 from safetensors.numpy import load
 
 from neuralgrasps.errors import DataFormatError
@@ -127,10 +128,8 @@ def _truth(folder: Path, notes: dict[str, Any]) -> DemonstrationTruth:
             still=(notes["still"][0], notes["still"][1]), grasp_frame=notes["grasp_frame"],
             notes=tuple(notes["notes"]), **{name: arrays[name] for name in _ARRAYS},
         )  # fmt: skip
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, SafetensorError) as error:
         raise DataFormatError(f"'{path}' cannot be read: {error}.") from error
-    except Exception as error:  # the reader of tensors raises its own kind
-        raise DataFormatError(f"'{path}' is damaged: {error}.") from error
 
 
 def _png(image: np.ndarray) -> bytes:
