@@ -20,9 +20,9 @@ from neuralgrasps.arms.mount import mount
 from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
 from neuralgrasps.grasps.grasp_io import load_grasps
-from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
-from neuralgrasps.human.look import LookConfig
-from neuralgrasps.human.watch import WatchConfig
+from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, record_demonstration
+from neuralgrasps.human.video.look import LookConfig
+from neuralgrasps.human.video.watch import WatchConfig
 from neuralgrasps.report.arm_figure import render_arm
 from neuralgrasps.report.demonstration_page import drawn_frames
 from neuralgrasps.report.demonstration_pictures import Demonstrated

@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.hands.variants import mirrored_hand, scaled_hand
     from neuralgrasps.hands.zoo import hand_names, load_hand
-    from neuralgrasps.human.demonstration import record_demonstration
-    from neuralgrasps.human.watch import watch_hand
+    from neuralgrasps.human.synthetic.demonstration import record_demonstration
+    from neuralgrasps.human.video.watch import watch_hand
     from neuralgrasps.model.checkpoint import load_run, save_run
     from neuralgrasps.model.infer import InferConfig, encode_points, infer_grasps
     from neuralgrasps.model.infer_contacts import encode_contacts

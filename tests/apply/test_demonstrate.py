@@ -22,10 +22,10 @@ from neuralgrasps.geometry.sdf_grid import query_grid_numpy
 from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.hands.zoo import load_hand
-from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
-from neuralgrasps.human.joint_errors import root_relative_error
+from neuralgrasps.human.nets.joint_errors import root_relative_error
 from neuralgrasps.human.seen import HandBox, SeenJoints
 from neuralgrasps.human.skeleton import joint_points
+from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, record_demonstration
 from neuralgrasps.model.run_notes import run_folder
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.object_video import follow_object

@@ -18,8 +18,8 @@ from neuralgrasps.errors import InputError, UnknownNameError
 from neuralgrasps.geometry.plane import Plane, standing_on
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.hands.zoo import load_hand
-from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
 from neuralgrasps.human.seen import SeenJoints
+from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, record_demonstration
 from neuralgrasps.model.run_notes import run_folder
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.synthesis.support import Support

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from neuralgrasps.geometry.mesh import box_mesh
-from neuralgrasps.human.demonstration_files import read_truth
+from neuralgrasps.human.synthetic.files import read_truth
 from neuralgrasps.perception.frame_files import read_frames
 from tests.cli.conftest import Ended
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from neuralgrasps.human.detect import HandDetector
-from neuralgrasps.human.grasp_bank import save_bank
+from neuralgrasps.human.nets.detect import HandDetector
+from neuralgrasps.human.scenes.grasp_bank import save_bank
 from tests.cli.conftest import Ended
 from tests.human.human_scenes import small_bank
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from neuralgrasps.geometry.mesh import box_mesh, cylinder_mesh
-from neuralgrasps.human.grasp_bank import GraspBank, make_grasp_bank
-from neuralgrasps.human.scene_kit import SceneKit, scene_kit
+from neuralgrasps.human.scenes.grasp_bank import GraspBank, make_grasp_bank
+from neuralgrasps.human.scenes.kit import SceneKit, scene_kit
 
 
 @cache

@@ -12,8 +12,8 @@ import pytest
 from neuralgrasps.apply.demonstrate import Demonstration, grasp_in_object
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.hands.zoo import load_hand
-from neuralgrasps.human.grasp_moment import touch
-from neuralgrasps.human.watch import HandTrack
+from neuralgrasps.human.video.grasp_moment import touch
+from neuralgrasps.human.video.watch import HandTrack
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.object_video import FollowedObject
 from neuralgrasps.perception.pose import PoseResult

@@ -25,9 +25,9 @@ from neuralgrasps.geometry.se3_numpy import inverse_np
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.human.seen import FittedHand, HandBox, SeenJoints, Side
-from neuralgrasps.human.sighting import HandFinder, JointSource, joints_box
 from neuralgrasps.human.skeleton import JOINT_NAMES, WRIST
-from neuralgrasps.human.watch import HandTrack, WatchConfig, watch_hand
+from neuralgrasps.human.video.sighting import HandFinder, JointSource, joints_box
+from neuralgrasps.human.video.watch import HandTrack, WatchConfig, watch_hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame, camera_poses
 from neuralgrasps.perception.object_video import FollowedObject, Hidden, follow_object, table_in_object
@@ -194,8 +194,8 @@ def _first_table(frames: Sequence[Frame], followed: FollowedObject) -> Plane | N
 
 def load_hand_eyes(reader: JointSource | None = None) -> tuple[HandFinder, JointSource]:
     """The detector and the joint net that come with the library; `reader` in place of the latter."""
-    from neuralgrasps.human.detect import HandDetector  # noqa: PLC0415 - imports torch
-    from neuralgrasps.human.joint_reader import JointReader  # noqa: PLC0415
+    from neuralgrasps.human.nets.detect import HandDetector  # noqa: PLC0415 - imports torch
+    from neuralgrasps.human.nets.joint_reader import JointReader  # noqa: PLC0415
 
     return HandDetector.load(), reader or JointReader.load()
 

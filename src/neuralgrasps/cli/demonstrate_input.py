@@ -100,7 +100,7 @@ def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> Shown:
         )
     shown = _read_frames(terminal, pending, numbers)
     if given.joints is not None:
-        from neuralgrasps.human.joint_files import read_joints
+        from neuralgrasps.human.video.joint_files import read_joints
 
         shown = replace(shown, joints=read_joints(given.joints, shown.frames))
         keep = [k for k, number in enumerate(shown.numbers) if number % given.every == 0]
@@ -110,7 +110,7 @@ def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> Shown:
             joints=None if shown.joints is None else [shown.joints[k] for k in keep],
         )
     if given.landmarker is not None:
-        from neuralgrasps.human.landmarker import landmark_joints
+        from neuralgrasps.human.video.landmarker import landmark_joints
 
         with terminal.progress("reading joints"):
             shown = replace(shown, joints=landmark_joints(shown.frames, given.landmarker, side=given.side))

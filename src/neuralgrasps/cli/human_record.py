@@ -13,7 +13,7 @@ from neuralgrasps.cli.terminal import Outcome, Terminal, counted
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
-    from neuralgrasps.human.demonstration import DemonstrationConfig, RecordedDemonstration
+    from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, RecordedDemonstration
     from neuralgrasps.objects.object_model import ObjectModel
 
 Either = Annotated[Literal["either", "right", "left"], tyro.conf.arg(metavar="SIDE")]
@@ -52,7 +52,7 @@ def human_record(
         noise: depth with the errors of a structured-light camera; --no-noise: exact depth.
         unit: length unit of a mesh file; auto takes over 3 units for mm.
     """
-    from neuralgrasps.human.demonstration import DemonstrationConfig
+    from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig
     from neuralgrasps.objects.zoo import load_object
     from neuralgrasps.sim.camera import STRUCTURED_LIGHT
 
@@ -85,8 +85,8 @@ def human_record(
 
 def _recorded(obj: ObjectModel, folder: Path, seed: int, config: DemonstrationConfig) -> RecordedDemonstration | str:
     """The recording, written; or why there is none."""
-    from neuralgrasps.human.demonstration import NoPersonGraspError, record_demonstration
-    from neuralgrasps.human.demonstration_files import write_demonstration
+    from neuralgrasps.human.synthetic.demonstration import NoPersonGraspError, record_demonstration
+    from neuralgrasps.human.synthetic.files import write_demonstration
 
     try:
         recorded = record_demonstration(obj, seed=seed, config=config)

@@ -15,7 +15,7 @@ from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
-    from neuralgrasps.human.grasp_bank import GraspBank
+    from neuralgrasps.human.scenes.grasp_bank import GraspBank
 
 _BANK_SOLIDS, _BANK_PROPOSALS = 132, 640
 _TEST_IMAGES, _TEST_SEED = 1500, 777
@@ -94,7 +94,7 @@ class _Plan:
 
 def _bank(terminal: Terminal, file: Path) -> GraspBank:
     """The bank of a file, made and kept there when it is not there yet."""
-    from neuralgrasps.human.grasp_bank import load_bank, make_grasp_bank, save_bank, training_solids
+    from neuralgrasps.human.scenes.grasp_bank import load_bank, make_grasp_bank, save_bank, training_solids
 
     if not file.exists():
         with terminal.progress("closing hands on solids"):
@@ -104,12 +104,12 @@ def _bank(terminal: Terminal, file: Path) -> GraspBank:
 
 def _train_detector(terminal: Terminal, plan: _Plan) -> dict[str, float]:
     """Train, write, and measure on images that were not seen."""
-    from neuralgrasps.human.detect import HandDetector
-    from neuralgrasps.human.detector_figures import detector_figures
-    from neuralgrasps.human.detector_images import ImageMaker
-    from neuralgrasps.human.detector_net import DetectorNet
-    from neuralgrasps.human.detector_train import DetectorTrainConfig, train_detector
-    from neuralgrasps.human.net_files import read_weights, save_weights
+    from neuralgrasps.human.nets.detect import HandDetector
+    from neuralgrasps.human.nets.detector_figures import detector_figures
+    from neuralgrasps.human.nets.detector_images import ImageMaker
+    from neuralgrasps.human.nets.detector_net import DetectorNet
+    from neuralgrasps.human.nets.detector_train import DetectorTrainConfig, train_detector
+    from neuralgrasps.human.nets.net_files import read_weights, save_weights
 
     start = None
     if plan.start is not None:
@@ -128,11 +128,11 @@ def _train_detector(terminal: Terminal, plan: _Plan) -> dict[str, float]:
 
 
 def _train_side(terminal: Terminal, plan: _Plan) -> dict[str, float]:
-    from neuralgrasps.human.joint_net import JointNet
-    from neuralgrasps.human.joint_reader import WEIGHTS
-    from neuralgrasps.human.net_files import read_weights, save_weights
-    from neuralgrasps.human.scene_kit import scene_kit
-    from neuralgrasps.human.side_train import side_accuracy, side_crops, train_side
+    from neuralgrasps.human.nets.joint_net import JointNet
+    from neuralgrasps.human.nets.joint_reader import WEIGHTS
+    from neuralgrasps.human.nets.net_files import read_weights, save_weights
+    from neuralgrasps.human.nets.side_train import side_accuracy, side_crops, train_side
+    from neuralgrasps.human.scenes.kit import scene_kit
 
     kit, joints = scene_kit(plan.bank), JointNet()
     read_weights(joints, plan.start or WEIGHTS)
@@ -146,8 +146,8 @@ def _train_side(terminal: Terminal, plan: _Plan) -> dict[str, float]:
 
 
 def _train_joints(terminal: Terminal, plan: _Plan) -> dict[str, float]:
-    from neuralgrasps.human.joint_train import JointTrainConfig, train_joints
-    from neuralgrasps.human.net_files import save_weights
+    from neuralgrasps.human.nets.joint_train import JointTrainConfig, train_joints
+    from neuralgrasps.human.nets.net_files import save_weights
 
     config = JointTrainConfig(images=plan.images or JointTrainConfig().images, workers=plan.threads)
     last: dict[str, float] = {}

@@ -14,9 +14,9 @@ from neuralgrasps.evaluate.execute import ExecuteConfig, Trial
 from neuralgrasps.evaluate.execute_bench_trials import robot_of
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.human.demonstration import DemonstrationConfig, record_demonstration
-from neuralgrasps.human.look import LookConfig
-from neuralgrasps.human.watch import WatchConfig
+from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, record_demonstration
+from neuralgrasps.human.video.look import LookConfig
+from neuralgrasps.human.video.watch import WatchConfig
 from neuralgrasps.model.train_state import torch_threads
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame

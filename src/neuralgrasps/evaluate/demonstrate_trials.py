@@ -26,11 +26,11 @@ from neuralgrasps.grasps.contact_map import contact_map
 from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.variants import scaled_hand
 from neuralgrasps.hands.zoo import load_hand
-from neuralgrasps.human.demonstration import DemonstrationTruth, record_demonstration
-from neuralgrasps.human.hand_video import HandVideo
-from neuralgrasps.human.joint_errors import procrustes_error, root_relative_error
-from neuralgrasps.human.sighting import HandFinder, JointSource
+from neuralgrasps.human.nets.joint_errors import procrustes_error, root_relative_error
 from neuralgrasps.human.skeleton import human_hand
+from neuralgrasps.human.synthetic.demonstration import DemonstrationTruth, record_demonstration
+from neuralgrasps.human.video.hand_video import HandVideo
+from neuralgrasps.human.video.sighting import HandFinder, JointSource
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.seeds import child_rng, child_seed

@@ -12,8 +12,8 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.hands.surface import hand_mesh
 from neuralgrasps.human.forearm import ForearmSize, tapered_mesh
-from neuralgrasps.human.person_grasps import PersonGrasps, person_grasps, table_frame
 from neuralgrasps.human.skeleton import joint_points
+from neuralgrasps.human.synthetic.person_grasps import PersonGrasps, person_grasps, table_frame
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.planning.resting_plane import resting_planes

@@ -14,8 +14,8 @@ from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.evaluate.demonstrate_execute import executed_place
 from neuralgrasps.evaluate.execute import Trial
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.human.grasp_moment import touch
 from neuralgrasps.human.seen import HandBox, Side
+from neuralgrasps.human.video.grasp_moment import touch
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.report.content import DemoReport, ExecutionFigure, KeyFigure, StageTime, Table
