@@ -67,9 +67,10 @@ def rasterise(
     barycentric = np.zeros((*shape, 3), np.float32)
     for index, mesh in enumerate(meshes):
         points_C = mesh.vertices @ X_CM[index, :3, :3].T + X_CM[index, :3, 3]
-        _raster_full(
-            points_C, mesh.faces, *_numbers(intrinsics), near_m, index, depth, mesh_index, face_index, barycentric
-        )
+        _draw(
+            points_C, mesh.faces, *_numbers(intrinsics), near_m, depth,
+            np.full(len(mesh.faces), index, np.int32), mesh_index, face_index, barycentric,
+        )  # fmt: skip
     return RasterImage(depth=depth, mesh_index=mesh_index, face_index=face_index, barycentric=barycentric)
 
 
@@ -88,7 +89,7 @@ def depth_images(mesh: Mesh, X_CM: np.ndarray, intrinsics: Intrinsics, *, near_m
     depth = np.full((len(X_CM), intrinsics.height, intrinsics.width), np.inf, np.float32)
     for image, X in zip(depth, X_CM, strict=True):
         points_C = mesh.vertices @ X[:3, :3].T + X[:3, 3]
-        _raster_depth(points_C, mesh.faces, *_numbers(intrinsics), near_m, image)
+        _draw(points_C, mesh.faces, *_numbers(intrinsics), near_m, image, None, None, None, None)
     return depth
 
 
@@ -144,7 +145,8 @@ def _edge_planes(p, planes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, face_index, barycentric):  # type: ignore[no-untyped-def]
+def _draw(points, faces, fx, fy, cx, cy, near, depth, face_labels, labels, face_index, barycentric):  # type: ignore[no-untyped-def]
+    """The one loop over triangles and pixels; what is None is not drawn, and not compiled in either."""
     height, width = depth.shape
     p = np.empty((3, 3))
     e = np.empty((3, 3))
@@ -169,38 +171,13 @@ def _raster_full(points, faces, fx, fy, cx, cy, near, mesh, depth, mesh_index, f
                     z = volume / total
                     if z >= near and np.float32(z) < depth[v, u]:
                         depth[v, u] = np.float32(z)
-                        mesh_index[v, u] = mesh
-                        face_index[v, u] = face
-                        barycentric[v, u, 0] = b0 / total
-                        barycentric[v, u, 1] = b1 / total
-                        barycentric[v, u, 2] = b2 / total
-
-
-@njit(cache=True, error_model="numpy")
-def _raster_depth(points, faces, fx, fy, cx, cy, near, depth):  # type: ignore[no-untyped-def]
-    height, width = depth.shape
-    p = np.empty((3, 3))
-    e = np.empty((3, 3))
-    for face in range(faces.shape[0]):
-        for i in range(3):
-            for k in range(3):
-                p[i, k] = points[faces[face, i], k]
-        u0, u1, v0, v1 = _pixel_box(p, near, fx, fy, cx, cy, width, height)
-        if u1 <= u0:
-            continue
-        volume = _edge_planes(p, e)
-        if not volume > 0.0:
-            continue
-        for v in range(v0, v1):
-            y = (v - cy) / fy
-            r0, r1, r2 = e[0, 1] * y + e[0, 2], e[1, 1] * y + e[1, 2], e[2, 1] * y + e[2, 2]
-            for u in range(u0, u1):
-                x = (u - cx) / fx
-                b0, b1, b2 = r0 + e[0, 0] * x, r1 + e[1, 0] * x, r2 + e[2, 0] * x
-                if b0 >= 0.0 and b1 >= 0.0 and b2 >= 0.0:
-                    z = volume / (b0 + b1 + b2)
-                    if z >= near and np.float32(z) < depth[v, u]:
-                        depth[v, u] = np.float32(z)
+                        if labels is not None:
+                            labels[v, u] = face_labels[face]
+                        if barycentric is not None:
+                            face_index[v, u] = face
+                            barycentric[v, u, 0] = b0 / total
+                            barycentric[v, u, 1] = b1 / total
+                            barycentric[v, u, 2] = b2 / total
 
 
 @njit(cache=True, error_model="numpy")
@@ -216,27 +193,4 @@ def raster_labels(points, faces, face_labels, fx, fy, cx, cy, near, depth, label
         depth: (h, w) float32 z-depth, changed in place; start with inf.
         labels: (h, w) int8, changed in place; start with the label of what is not hit.
     """
-    height, width = depth.shape
-    p = np.empty((3, 3))
-    e = np.empty((3, 3))
-    for face in range(faces.shape[0]):
-        for i in range(3):
-            for k in range(3):
-                p[i, k] = points[faces[face, i], k]
-        u0, u1, v0, v1 = _pixel_box(p, near, fx, fy, cx, cy, width, height)
-        if u1 <= u0:
-            continue
-        volume = _edge_planes(p, e)
-        if not volume > 0.0:
-            continue
-        for v in range(v0, v1):
-            y = (v - cy) / fy
-            r0, r1, r2 = e[0, 1] * y + e[0, 2], e[1, 1] * y + e[1, 2], e[2, 1] * y + e[2, 2]
-            for u in range(u0, u1):
-                x = (u - cx) / fx
-                b0, b1, b2 = r0 + e[0, 0] * x, r1 + e[1, 0] * x, r2 + e[2, 0] * x
-                if b0 >= 0.0 and b1 >= 0.0 and b2 >= 0.0:
-                    z = volume / (b0 + b1 + b2)
-                    if z >= near and np.float32(z) < depth[v, u]:
-                        depth[v, u] = np.float32(z)
-                        labels[v, u] = face_labels[face]
+    _draw(points, faces, fx, fy, cx, cy, near, depth, face_labels, labels, None, None)
