@@ -155,7 +155,7 @@ _HOMES = {
     "read_dataset": "dataset.read",
     "read_frame": "perception.frame_files",
     "read_frames": "perception.frame_files",
-    "record_demonstration": "human.demonstration",
+    "record_demonstration": "human.synthetic.demonstration",
     "retrieve": "apply.retrieve",
     "save_grasps": "grasps.grasp_io",
     "save_run": "model.checkpoint",
@@ -170,7 +170,7 @@ _HOMES = {
     "validate_grasps": "sim.validate",
     "verify_dataset": "dataset.verify",
     "view_hand": "evaluate.observe",
-    "watch_hand": "human.watch",
+    "watch_hand": "human.video.watch",
     "write_report": "report.page",
 }
 
