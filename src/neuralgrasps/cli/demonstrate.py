@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -87,7 +87,6 @@ def demonstrate(
         video: film of the execution, .mp4.
         out: folder for numbers (JSON), grasps, pictures, and the robot's plan (YAML).
     """
-    from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.apply.demonstrate_rules import rules_from_text
     from neuralgrasps.cli.compiling import WORTH_SAYING_S
     from neuralgrasps.cli.demonstrate_files import write_demonstrated
@@ -99,25 +98,17 @@ def demonstrate(
     _check_options(count, execute=execute, arm=arm, video=video, report=report, out=out)
     begun = time.perf_counter()
     manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
-    with terminal.progress("reading the object"):
-        obj = _open_object(terminal, object_name)
+    obj = _open_object(terminal, object_name)
     rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
     shown = read_shown(terminal, rgbd, source)
     known = _known(terminal, obj, robot_hand, grasps)
-    config = replace(
-        DemonstrateConfig().transfer, count=count, trials=max(3 * count // 2, _LEAST_TRIALS), method=method
-    )
-    demo = _watched(terminal, shown, obj, robot_hand, config, side=source.side, known=known, rules=rules, seed=seed)
-    bound = None if rules is None or demo.transfer is None else rules(demo.table_O)
-    if demo.stage == "transfer" and bound is not None:
-        demo = replace(demo, reason=_reason_with(terminal, demo, obj, robot_hand, known, config, bound))
-    pictured = report is not None or video is not None or out is not None
+    task = _Task(obj=obj, hand=robot_hand, known=known, rules=rules, config=_wanted(count, method), seed=seed)
+    demo = _watched(terminal, shown, task, side=source.side)
     carried = time.perf_counter()
-    trial, compile_s = (
-        _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured) if execute else (None, 0.0)
-    )
+    pictured = report is not None or video is not None or out is not None
+    trial, compile_s = _executed(terminal, demo, obj, manipulator, seed=seed, pictured=pictured)
     story = DemonstrationStory(
-        frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial, rules=bound,
+        frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial, rules=task.bound(demo),
         seconds=_robot_seconds(trial, time.perf_counter() - carried), compiled=compile_s >= WORTH_SAYING_S,
         named=source.every > 1,
     )  # fmt: skip
@@ -130,6 +121,29 @@ def demonstrate(
         terminal, story, result, manipulator, sources=(hand, object_name), report=report, video=video, out=out
     )
     return Outcome(result=result, exit_code=0 if not result["stage"] else 1)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Task:
+    """The object shown, the robot's hand with its known grasps, and what is wanted of the transfer."""
+
+    obj: ObjectModel
+    hand: Hand
+    known: GraspSet | None
+    rules: TextRules | None
+    config: TransferConfig
+    seed: int
+
+    def bound(self, demo: Demonstration) -> GraspConstraints | None:
+        """The constraints over the table that was seen; None without any, or where nothing was to be carried over."""
+        return None if self.rules is None or demo.transfer is None else self.rules(demo.table_O)
+
+
+def _wanted(count: int, method: Literal["both", "retrieve", "generate"]) -> TransferConfig:
+    from neuralgrasps.apply.demonstrate import DemonstrateConfig
+
+    trials = max(3 * count // 2, _LEAST_TRIALS)
+    return replace(DemonstrateConfig().transfer, count=count, trials=trials, method=method)
 
 
 def _check_options(
@@ -184,7 +198,8 @@ def _own_arm(hand: str) -> str:
 def _open_object(terminal: Terminal, spec: str) -> ObjectModel:
     from neuralgrasps.objects.zoo import load_object
 
-    obj = load_object(spec)
+    with terminal.progress("reading the object"):
+        obj = load_object(spec)
     warn_of_damage(terminal, [obj])
     warn_of_stand_ins(terminal, {obj.name: spec}, {obj.name: obj})
     return obj
@@ -213,37 +228,36 @@ def _known(terminal: Terminal, obj: ObjectModel, hand: Hand, file: Path | None) 
         return None
 
 
-def _watched(
-    terminal: Terminal, shown: Shown, obj: ObjectModel, hand: Hand, config: TransferConfig, *,
-    side: Literal["right", "left"] | None, known: GraspSet | None, rules: TextRules | None, seed: int,
-) -> Demonstration:  # fmt: skip
+def _watched(terminal: Terminal, shown: Shown, task: _Task, *, side: Literal["right", "left"] | None) -> Demonstration:
+    """What was seen and carried over; where constraints left no grasp, the reason says what they took."""
     from neuralgrasps.apply.demonstrate import DemonstrateConfig
     from neuralgrasps.apply.demonstrate import demonstrate as watch
     from neuralgrasps.cli.compiling import BEGINS, compile_clock
 
     with terminal.progress("watching"), compile_clock(lambda: terminal.complain(BEGINS)):
-        return watch(
-            shown.frames, obj, hand, joints=shown.joints, side=side, known=known, constraints=rules, seed=seed,
-            config=DemonstrateConfig(transfer=config),
+        demo = watch(
+            shown.frames, task.obj, task.hand, joints=shown.joints, side=side, known=task.known,
+            constraints=task.rules, seed=task.seed, config=DemonstrateConfig(transfer=task.config),
         )  # fmt: skip
+    bound = task.bound(demo)
+    if demo.stage != "transfer" or bound is None:
+        return demo
+    return replace(demo, reason=_reason_with(terminal, demo, task, bound))
 
 
-def _reason_with(
-    terminal: Terminal, demo: Demonstration, obj: ObjectModel, hand: Hand, known: GraspSet | None,
-    config: TransferConfig, rules: GraspConstraints,
-) -> str:  # fmt: skip
+def _reason_with(terminal: Terminal, demo: Demonstration, task: _Task, rules: GraspConstraints) -> str:
     """Why no grasp was found under the constraints: what each takes, and what would hold without them."""
     from neuralgrasps.apply.demonstrate import demonstration_support
     from neuralgrasps.apply.transfer import transfer
 
     assert demo.query is not None
-    parts = [demo.reason.rstrip(".")]
+    known, parts = task.known, [demo.reason.rstrip(".")]
     if known is not None and len(known):
-        parts.append(f"known grasps: {rules.describe(hand, known.X_OH, known.q, known.q_pregrasp)}")
+        parts.append(f"known grasps: {rules.describe(task.hand, known.X_OH, known.q, known.q_pregrasp)}")
     with terminal.progress("without the constraints"):
         free = transfer(
-            demo.query, hand, obj, known=known, config=replace(config, count=1), seed=demo.seed,
-            support=demonstration_support(obj, demo.table_O),
+            demo.query, task.hand, task.obj, known=known, config=replace(task.config, count=1), seed=demo.seed,
+            support=demonstration_support(task.obj, demo.table_O),
         )  # fmt: skip
     if len(free.grasps):
         parts.append(f"without the constraints one of similarity {free.similarity[0]:.2f} holds")

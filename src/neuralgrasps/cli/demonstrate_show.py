@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from neuralgrasps.cli.terminal import Terminal
+from neuralgrasps.cli.transfer_show import SCALE_TEXT, grasp_rows
 
 if TYPE_CHECKING:
     from neuralgrasps.apply.demonstrate import Demonstration
@@ -102,21 +103,10 @@ def _transfer_record(demo: Demonstration) -> dict[str, Any] | None:
     if found is None:
         return None
     grasps = found.grasps
-    verdict = grasps.verdicts.get(grasps.protocol)
     return {
         "grasps": [
-            {
-                "rank": i + 1,
-                "similarity": float(found.similarity[i]),
-                "origin": found.origin[i],
-                "epsilon": float(grasps.epsilon[i]),
-                "held": None if verdict is None else bool(verdict.success[i]),
-                "moved_mm": None if verdict is None else 1e3 * float(verdict.displacement_m[i]),
-                "why": found.reasons[i],
-                "X_OH": grasps.X_OH[i],
-                "q": grasps.q[i],
-            }
-            for i in range(len(grasps))
+            row | {"why": found.reasons[i], "X_OH": grasps.X_OH[i], "q": grasps.q[i]}
+            for i, row in enumerate(grasp_rows(found))
         ],
         "oracle_similarity": found.oracle,
         "tried": found.tried,
@@ -143,23 +133,7 @@ def show_demonstration(terminal: Terminal, record: Mapping[str, Any]) -> None:
     transfer, person = record["transfer"], record["person"]
     if transfer is not None and transfer["grasps"]:
         terminal.say()
-        terminal.table(
-            ("rank", "similarity", "from", "epsilon", "held", "why"),
-            [
-                (
-                    g["rank"],
-                    f"{g['similarity']:.3f}",
-                    g["origin"],
-                    f"{g['epsilon']:.3f}",
-                    g["held"],
-                    short_why(g["why"]),
-                )
-                for g in transfer["grasps"][:_ROWS]
-            ],
-        )
-        if len(transfer["grasps"]) > _ROWS:
-            terminal.say(f"... and {len(transfer['grasps']) - _ROWS} more.")
-        terminal.say("Similarity of the contact maps: 1 = same, 0 = as the farthest of the known grasps.")
+        _show_grasps(terminal, transfer["grasps"])
     if person is not None:
         terminal.notes(person["doubts"], title="Doubts about the hand:")
     if record["stage"]:
@@ -171,6 +145,17 @@ def show_demonstration(terminal: Terminal, record: Mapping[str, Any]) -> None:
     times = ", ".join(f"{name} {s:.1f} s" for name, s in record["seconds"].items())
     if times:
         terminal.say(f"Time: {times}.")
+
+
+def _show_grasps(terminal: Terminal, grasps: Sequence[Mapping[str, Any]]) -> None:
+    rows = [
+        (g["rank"], f"{g['similarity']:.3f}", g["origin"], f"{g['epsilon']:.3f}", g["held"], short_why(g["why"]))
+        for g in grasps[:_ROWS]
+    ]
+    terminal.table(("rank", "similarity", "from", "epsilon", "held", "why"), rows)
+    if len(grasps) > _ROWS:
+        terminal.say(f"... and {len(grasps) - _ROWS} more.")
+    terminal.say(SCALE_TEXT)
 
 
 def short_why(reason: str) -> str:

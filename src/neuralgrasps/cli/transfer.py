@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +11,13 @@ import tyro
 
 from neuralgrasps.cli.options import Names, OptionalFile, OptionalText, PositionalFolder, check_seed
 from neuralgrasps.cli.outputs import check_writable, make_parent
-from neuralgrasps.cli.terminal import Outcome, Terminal, counted
+from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
-    from neuralgrasps.apply.constraints import GraspConstraints
-    from neuralgrasps.apply.transfer import TransferConfig, TransferResult
-    from neuralgrasps.cli.transfer_query import Asked, Known
+    from neuralgrasps.apply.transfer import TransferResult
+    from neuralgrasps.cli.transfer_query import Asked, Known, TransferTask
     from neuralgrasps.grasps.grasp_set import GraspSet
-    from neuralgrasps.hands.hand import Hand
 
 Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 Regions = Annotated[tuple[str, ...], tyro.conf.arg(metavar="REGION ...", help_behavior_hint="(default: none)")]
@@ -93,216 +90,110 @@ def transfer(
     from neuralgrasps.apply.constraints import GraspConstraints
     from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.cli.models import warn_of_damage
-    from neuralgrasps.cli.transfer_query import ask_grasp, ask_points, open_known
+    from neuralgrasps.cli.transfer_query import TransferTask, open_known
+    from neuralgrasps.cli.transfer_show import show_transfer, transfer_record
 
     check_seed(seed)
     config = TransferConfig(method=method, count=count, protocol=protocol)
     wanted = constraint_fields(only_region=only_region, keep_free=keep_free, approach=approach, up=up, margin_m=margin)
     if sum(v is not None for v in (query, query_cloud, contacts)) != 1:
         raise InputError("give one query: --query FILE[:ROW] (or HAND:ROW), --query-cloud FILE or --contacts FILE.")
-    for path in (out, report):
-        if path is not None:
-            check_writable(path)
+    _check_outputs(out, report)
     with terminal.progress("reading hands and objects"):
         known = open_known(run, hands, objects)
-        if query is not None:
-            asked = ask_grasp(known, query, object_name)
-        else:
-            file = query_cloud or contacts
-            assert file is not None
-            asked = ask_points(known, file, object_name, contacts=contacts is not None)
+        asked = _asked(known, object_name, query=query, query_cloud=query_cloud, contacts=contacts)
         target = known.hand(hand)
         out = out or Path(f"transferred_{target.name}_{asked.obj.name}.safetensors")
-        check_writable(out)
+        _check_outputs(out)
         constraints = GraspConstraints(obj=asked.obj, **wanted)
+    task = TransferTask(asked=asked, hand=target, config=config, constraints=constraints, seed=seed)
     warn_of_damage(terminal, [asked.obj])
     if asked.note:
         terminal.complain(asked.note)
-    result, stored, times = _timed(terminal, known, asked, target, config, constraints, seed)
-    record = _record(asked, target, result, constraints, stored) | times
-    if not len(result.grasps) and constraints:
-        record["similarity_without_constraints"] = _without_constraints(asked, target, config, stored, seed)
+    result, stored, times = _timed(terminal, known, task)
+    record = transfer_record(task, result, stored) | times
     if len(result.grasps):
-        _write(
-            terminal,
-            asked,
-            target,
-            result,
-            record,
-            constraints,
-            sources=(hand, object_name),
-            out=out,
-            report=report,
-            seed=seed,
-        )
-    _show(terminal, record)
+        record |= _write(terminal, task, result, record, sources=(hand, object_name), out=out, report=report)
+    elif constraints:
+        record["similarity_without_constraints"] = _without_constraints(task, stored)
+    show_transfer(terminal, record)
     return Outcome(result=record, exit_code=0 if len(result.grasps) else 1)
 
 
-def _timed(
-    terminal: Terminal, known: Known, asked: Asked, hand: Hand, config: TransferConfig, constraints: GraspConstraints,
-    seed: int,
-) -> tuple[TransferResult, GraspSet, dict[str, float]]:  # fmt: skip
+def _check_outputs(*paths: Path | None) -> None:
+    for path in paths:
+        if path is not None:
+            check_writable(path)
+
+
+def _asked(
+    known: Known, object_name: str | None, *, query: str | None, query_cloud: Path | None, contacts: Path | None
+) -> Asked:
+    """The one query that was given."""
+    from neuralgrasps.cli.transfer_query import ask_grasp, ask_points
+
+    if query is not None:
+        return ask_grasp(known, query, object_name)
+    file = query_cloud or contacts
+    assert file is not None
+    return ask_points(known, file, object_name, contacts=contacts is not None)
+
+
+def _timed(terminal: Terminal, known: Known, task: TransferTask) -> tuple[TransferResult, GraspSet, dict[str, float]]:
     """The result, the known grasps it started from, and wall, CPU and (of the wall) compiling seconds."""
     from neuralgrasps.apply.constrained_grasps import with_constrained
     from neuralgrasps.apply.transfer import made_grasps
     from neuralgrasps.apply.transfer import transfer as carry_over
     from neuralgrasps.cli.compiling import BEGINS, compile_clock
 
+    hand, obj, config, constraints, seed = task.hand, task.asked.obj, task.config, task.constraints, task.seed
     wall, cpu = time.perf_counter(), time.process_time()
-    with (
-        terminal.progress(f"{hand.name} on {asked.obj.name}"),
-        compile_clock(lambda: terminal.complain(BEGINS)) as clock,
-    ):
-        stored = known.grasps(hand, asked.obj)
+    with terminal.progress(f"{hand.name} on {obj.name}"), compile_clock(lambda: terminal.complain(BEGINS)) as clock:
+        stored = known.grasps(hand, obj)
         if stored is None:
-            stored = made_grasps(hand, asked.obj, config, support=constraints.support, seed=seed)
+            stored = made_grasps(hand, obj, config, support=constraints.support, seed=seed)
         if constraints:
             stored = with_constrained(
                 constraints, hand, stored, protocol=config.protocol, enough=config.count, seed=seed
             )
         result = carry_over(
-            asked.query, hand, asked.obj, known=stored, config=config, support=constraints.support,
+            task.asked.query, hand, obj, known=stored, config=config, support=constraints.support,
             constraints=constraints if constraints else None, seed=seed,
         )  # fmt: skip
     times = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu, "compile_s": clock.seconds}
     return result, stored, times
 
 
-def _without_constraints(asked: Asked, hand: Hand, config: TransferConfig, known: GraspSet, seed: int) -> float | None:
+def _without_constraints(task: TransferTask, known: GraspSet) -> float | None:
     """Similarity of the best known grasp, were there no constraints; None when there is none."""
     from neuralgrasps.apply.transfer import transfer as carry_over
 
-    free = carry_over(asked.query, hand, asked.obj, known=known, config=replace(config, method="retrieve"), seed=seed)
+    config = replace(task.config, method="retrieve")
+    free = carry_over(task.asked.query, task.hand, task.asked.obj, known=known, config=config, seed=task.seed)
     return float(free.similarity[0]) if len(free.grasps) else None
 
 
-def _record(
-    asked: Asked, hand: Hand, result: TransferResult, constraints: GraspConstraints, known: GraspSet
-) -> dict[str, Any]:
-    """The JSON object of one call, units in the names."""
-    from neuralgrasps.apply.drawn_contacts import reach, touched_text
-
-    grasps = result.grasps
-    clearance = constraints.clearance(hand, grasps.X_OH, grasps.q)
-    verdict = grasps.verdicts.get(grasps.protocol)
-    points_O = asked.contacts_O
-    reached = None if points_O is None else reach(hand, grasps.X_OH, grasps.q, points_O)
-    rows = [
-        {
-            "rank": i + 1,
-            "similarity": float(result.similarity[i]),
-            "origin": result.origin[i],
-            "epsilon": float(grasps.epsilon[i]),
-            "held": None if verdict is None else bool(verdict.success[i]),
-            "moved_mm": None if verdict is None else 1e3 * float(verdict.displacement_m[i]),
-            "clearance_mm": None if clearance[i] == float("inf") else 1e3 * float(clearance[i]),
-            "why": result.reasons[i],
-        }
-        | ({} if reached is None else {"touched": touched_text(reached[i]), "points_off_mm": 1e3 * reached[i].mean()})
-        for i in range(len(grasps))
-    ]
-    short = bool(result.reason) and bool(constraints) and len(known) > 0
-    return {
-        "object": asked.obj.name,
-        "hand": hand.name,
-        "query": asked.title,
-        "constraints": list(constraints.names),
-        "constraints_on_known": constraints.describe(hand, known.X_OH, known.q, known.q_pregrasp) if short else "",
-        "note": asked.note,
-        "known": len(known),
-        "oracle_similarity": result.oracle,
-        "results": rows,
-        "tried": result.tried,
-        "reason": result.reason,
-        "nearest_similarity": result.nearest_similarity,
-    }
-
-
 def _write(
-    terminal: Terminal,
-    asked: Asked,
-    hand: Hand,
-    result: TransferResult,
-    record: dict[str, Any],
-    constraints: GraspConstraints,
-    *,
-    sources: tuple[str, str | None],
-    out: Path,
-    report: Path | None,
-    seed: int,
-) -> None:
-    """The grasp file, and the page when one is asked for; both are named in `record`."""
+    terminal: Terminal, task: TransferTask, result: TransferResult, record: dict[str, Any], *,
+    sources: tuple[str, str | None], out: Path, report: Path | None,
+) -> dict[str, str]:  # fmt: skip
+    """The grasp file, and the page when one is asked for; returns their paths. `sources`: hand, object as typed."""
     from neuralgrasps.cli.models import source_text
     from neuralgrasps.dataset.collect import object_fingerprint
     from neuralgrasps.grasps.grasp_io import save_grasps
 
+    obj = task.asked.obj
     grasps = result.grasps.with_config(
-        hand_source=source_text(sources[0]), object_source=source_text(sources[1] or asked.obj.name),
-        transferred_from=asked.title, constraints=str(constraints),
+        hand_source=source_text(sources[0]), object_source=source_text(sources[1] or obj.name),
+        transferred_from=task.asked.title, constraints=str(task.constraints),
     )  # fmt: skip
     make_parent(out)
-    save_grasps(out, grasps, hand=hand, object_fingerprint=object_fingerprint(asked.obj))
-    record["file"] = str(out)
+    save_grasps(out, grasps, hand=task.hand, object_fingerprint=object_fingerprint(obj))
+    written = {"file": str(out)}
     if report is None:
-        return
+        return written
     from neuralgrasps.cli.transfer_page import write_transfer_page
 
     with terminal.progress("drawing", "pictures") as bar:
-        write_transfer_page(
-            report, asked, hand, result, record, constraints=constraints, command=terminal.command, seed=seed,
-            progress=bar,
-        )  # fmt: skip
-    record["report"] = str(report)
-
-
-def _show(terminal: Terminal, record: dict[str, Any]) -> None:
-    from neuralgrasps.cli.compiling import of_it_compiling
-
-    rows = record["results"]
-    terminal.say(f"{record['hand']} on {record['object']}: {counted(len(rows), 'grasp')} for {record['query']}")
-    if rows:
-        free = any(r["clearance_mm"] is not None for r in rows)
-        drawn = "touched" in rows[0]
-        columns = (
-            *("rank", "similarity", "from", "epsilon", "moved, mm"), *(("clear by, mm",) if free else ()),
-            *(("drawn points touched", "off, mm") if drawn else ()),
-        )  # fmt: skip
-        terminal.table(
-            columns,
-            [
-                (r["rank"], f"{r['similarity']:.3f}", r["origin"], f"{r['epsilon']:.3f}", f"{r['moved_mm']:.1f}",
-                 *((f"{r['clearance_mm']:.0f}",) if free else ()),
-                 *((r["touched"], f"{r['points_off_mm']:.1f}") if drawn else ()))
-                for r in rows
-            ],
-        )  # fmt: skip
-        terminal.say("Similarity of the contact maps: 1 = same, 0 = as the farthest of the known grasps.")
-    facts: list[tuple[str, Any]] = [("known grasps", record["known"])]
-    if math.isfinite(record["oracle_similarity"]):
-        facts.append(
-            (
-                "best of these allowed" if record["constraints"] else "best of these",
-                f"{record['oracle_similarity']:.3f}",
-            )
-        )
-    facts += [("tried in physics", record["tried"])]
-    facts += [("constraint", name) for name in record["constraints"]]
-    facts.append(
-        ("time", f"{record['wall_s']:.1f} s{of_it_compiling(record['compile_s'])}, CPU {record['cpu_s']:.1f} s")
-    )
-    terminal.facts(facts)
-    if record["reason"]:
-        terminal.say(f"Note: {record['reason']}")
-    if record["constraints_on_known"]:
-        terminal.say(f"Known grasps: {record['constraints_on_known']}.")
-    if not rows and math.isfinite(record["nearest_similarity"]):
-        terminal.say(f"The nearest that did not hold has similarity {record['nearest_similarity']:.3f}.")
-    if record.get("similarity_without_constraints") is not None:
-        best = record["similarity_without_constraints"]
-        terminal.say(f"Without the constraints there is a grasp of similarity {best:.3f}: loosen one of them.")
-    for key, name in (("file", "Grasps"), ("report", "Page")):
-        if key in record:
-            terminal.say(f"{name}: {record[key]}")
-    if not rows:
-        terminal.say("Nothing was written.")
+        write_transfer_page(report, task, result, record, command=terminal.command, progress=bar)
+    return written | {"report": str(report)}

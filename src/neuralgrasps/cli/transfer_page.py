@@ -13,8 +13,7 @@ from neuralgrasps.apply.transfer import TransferResult
 from neuralgrasps.cli.grasp_page import about_this_run, trial_table
 from neuralgrasps.cli.progress import ProgressBar
 from neuralgrasps.cli.terminal import counted
-from neuralgrasps.cli.transfer_query import Asked
-from neuralgrasps.hands.hand import Hand
+from neuralgrasps.cli.transfer_query import Asked, TransferTask
 from neuralgrasps.report.content import DemoReport, KeyFigure
 from neuralgrasps.report.page import write_report
 from neuralgrasps.report.sections import pretty_name
@@ -23,17 +22,15 @@ from neuralgrasps.report.transfer_page import constraint_text, transfer_list
 
 def write_transfer_page(
     path: Path,
-    asked: Asked,
-    hand: Hand,
+    task: TransferTask,
     result: TransferResult,
     record: Mapping[str, Any],
     *,
-    constraints: GraspConstraints,
     command: str,
-    seed: int,
     progress: ProgressBar,
 ) -> Path:
     """Write the page of one transfer; `record` is its JSON result."""
+    asked, hand, constraints = task.asked, task.hand, task.constraints
     shown = transfer_list(
         result, asked.query, hand, asked.obj, title=asked.title, text=_query_text(asked, constraints),
         grasp=asked.grasp, points_O=asked.points_O, constraints=constraints, progress=progress,
@@ -44,7 +41,7 @@ def write_transfer_page(
         title=f"{pretty_name(asked.obj.name).capitalize()}, from {source} to {pretty_name(hand.name)}",
         subtitle=f"{counted(len(result.grasps), 'grasp')} of the {pretty_name(hand.name)} hand for {asked.title}, the "
         f"most alike first, each held by the physics protocol '{protocol}'.",
-        **about_this_run(command, seed),
+        **about_this_run(command, task.seed),
         key_figures=_key_figures(result, record),
         transferred=(shown,),
         tables=(trial_table(protocol, result.grasps.verdicts[protocol].parameters),),

@@ -10,9 +10,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from neuralgrasps.cli.terminal import counted
 from neuralgrasps.errors import InputError, unknown_name
 
 if TYPE_CHECKING:
+    from neuralgrasps.apply.constraints import GraspConstraints
+    from neuralgrasps.apply.transfer import TransferConfig
     from neuralgrasps.apply.transfer_query import TransferQuery
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
@@ -43,6 +46,17 @@ class Asked:
     def contacts_O(self) -> np.ndarray | None:
         """(M, 3) the points that are to be touched, where these are the query."""
         return self.points_O if self.query.source == "contacts" else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TransferTask:
+    """What is carried over, to which hand, and under which constraints."""
+
+    asked: Asked
+    hand: Hand
+    config: TransferConfig
+    constraints: GraspConstraints
+    seed: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -130,12 +144,7 @@ def ask_points(known: Known, path: Path, object_name: str | None, *, contacts: b
         query = query_from_contacts(obj, points) if note else query
     except InputError as error:
         raise InputError(f"'{path}': {error}") from error
-    kind = "contact" if contacts else "point of a hand"
-    count = (
-        f"{len(points)} {kind}"
-        if len(points) == 1
-        else f"{len(points)} {'contacts' if contacts else 'points of a hand'}"
-    )
+    count = counted(len(points), "contact" if contacts else "point") + ("" if contacts else " of a hand")
     return Asked(query=query, obj=obj, title=f"{count} in '{path.name}'", points_O=points, note=note)
 
 
