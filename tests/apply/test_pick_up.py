@@ -126,6 +126,8 @@ def test_proposing_moves_nothing(pick_scene) -> None:
     again = propose_pick(robot_at(pick_scene), pick_scene.obj, grasps=pick_scene.grasps, config=CONFIG, seed=1)
     np.testing.assert_array_equal(first.X_BO, again.X_BO)
     np.testing.assert_array_equal(first.plan.transfer.q, again.plan.transfer.q)
+    grasp = first.plan.grasp
+    assert f"{grasp.hand} takes {grasp.object} by grasp {first.plan.index}, " in repr(first)
 
 
 def test_without_a_table_it_says_so_and_stays(pick_scene) -> None:
@@ -134,6 +136,7 @@ def test_without_a_table_it_says_so_and_stays(pick_scene) -> None:
     watched.frame = replace(frame, depth=np.full_like(frame.depth, 1.2))  # a wall
     proposal = pick_up(watched, pick_scene.obj, grasps=pick_scene.grasps, config=CONFIG)
     assert proposal.plan is None and proposal.view is None and "level" in proposal.reason
+    assert repr(proposal) == f"PickProposal(no plan: {proposal.reason})"
     check_nothing_moved(watched, pick_scene)
 
 

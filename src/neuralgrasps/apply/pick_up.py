@@ -100,6 +100,9 @@ class PickProposal:
     def plan(self) -> PickPlan | None:
         return None if self.result is None else self.result.plan
 
+    def __repr__(self) -> str:
+        return f"PickProposal({self.plan!r})" if self.plan is not None else f"PickProposal(no plan: {self.reason})"
+
 
 def propose_pick(
     robot: Robot,

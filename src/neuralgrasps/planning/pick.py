@@ -105,6 +105,12 @@ class PickPlan:
     q_squeeze: np.ndarray
     clearance_m: float
 
+    def __repr__(self) -> str:
+        motion_s = self.transfer.duration_s + self.approach.duration_s + self.lift.duration_s
+        return (
+            f"PickPlan({self.grasp.hand} takes {self.grasp.object} by grasp {self.index}, {motion_s:.1f} s of motion)"
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PickResult:
