@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 from neuralgrasps.cli.bench_library import open_library, paper_objects
+from neuralgrasps.cli.bench_result import absent_figures, conditions, with_options
 from neuralgrasps.cli.terminal import Terminal
 
 _NOTES = {
@@ -55,37 +56,21 @@ def bench_execute(
     from neuralgrasps.evaluate.execute_bench import QUICK, ExecuteBenchConfig
     from neuralgrasps.evaluate.execute_bench import bench_execute as measure
     from neuralgrasps.evaluate.execute_figures import FIGURES, execute_figures, execute_tables
-    from neuralgrasps.parallel import available_cpus
 
-    config = replace(QUICK if quick else ExecuteBenchConfig(), seed=seed)
-    if count is not None:
-        config = replace(config, scenes=count)
-    sources = paper_objects(objects)
-    library, models = open_library(terminal, sources)
+    config = with_options(QUICK if quick else ExecuteBenchConfig(), seed=seed, scenes=count)
+    library, models = open_library(terminal, paper_objects(objects))
     with terminal.progress("execute", "tasks") as bar:
         bench = measure(library, config=config, workers=workers, progress=bar)
     figures, tables = execute_figures(bench), execute_tables(bench)
     _show(terminal, tables)
-    absent = {f"success_{method}": why for method, why in bench.absent.items()}
-    absent |= {name: "not measured" for name in FIGURES if name not in figures and name not in absent}
-    for name, why in absent.items():
-        terminal.say(f"absent: {name}: {why}")
-    shown = {
-        **asdict(config),
-        "quick": quick,
-        "workers": workers or available_cpus(),
-        "wall_s": bench.wall_s,
-        "objects": {name: obj.provenance.get("source", "") for name, obj in models.items()},
-        "run": library.run,
-    }
-    failures = [asdict(t) for t in bench.trials if not t.success or t.collisions]
+    reasons = {f"success_{method}": why for method, why in bench.absent.items()}
     return {
-        "config": shown,
+        "config": conditions(config, models, quick=quick, workers=workers, wall_s=bench.wall_s, run=library.run),
         "figures": figures,
-        "absent": absent,
+        "absent": absent_figures(terminal, figures, FIGURES, reasons),
         "notes": _NOTES,
         "table": tables,
-        "failures": failures,
+        "failures": [asdict(t) for t in bench.trials if not t.success or t.collisions],
     }
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from neuralgrasps.cli.bench_result import absent_figures, object_origins
 from neuralgrasps.cli.terminal import Terminal
 from neuralgrasps.errors import InputError, NeuralGraspsError
 
@@ -113,7 +114,7 @@ def bench_latent(
         )
         bench.config |= {
             "origin": material.origin,
-            "objects": {name: obj.provenance.get("source", "") for name, obj in material.objects.items()},
+            "objects": object_origins(material.objects),
             "hands": list(material.hands),
             "grasps": sum(len(g) for g in material.grasps),
         }
@@ -122,12 +123,8 @@ def bench_latent(
         if evaluated is not None:
             _evaluate(terminal, bench, evaluated, seed=seed, workers=workers, quick=quick)
         _rate(terminal, bench, quick=quick)
-    for name in FIGURES:
-        if name not in bench.figures:
-            bench.absent.setdefault(name, "not measured")
-    for name, reason in bench.absent.items():
-        terminal.say(f"{name}: absent: {reason}")
-    return {"config": bench.config, "figures": bench.figures, "absent": bench.absent, "notes": _NOTES}
+    absent = absent_figures(terminal, bench.figures, FIGURES, bench.absent)
+    return {"config": bench.config, "figures": bench.figures, "absent": absent, "notes": _NOTES}
 
 
 def _from_run(terminal: Terminal, name: str | None, objects: Sequence[str], hands: Sequence[str]) -> _Material:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from neuralgrasps.cli.bench_library import open_library
+from neuralgrasps.cli.bench_result import absent_figures, conditions, with_options
 from neuralgrasps.cli.models import source_text
 from neuralgrasps.cli.terminal import Terminal
-
-if TYPE_CHECKING:
-    pass
 
 OTHER_SCANS = (
     "002_master_chef_can", "004_sugar_box", "007_tuna_fish_can", "036_wood_block", "051_large_clamp", "061_foam_brick",
@@ -64,37 +61,24 @@ def bench_pose(
     """
     from neuralgrasps.evaluate.pose_bench import QUICK, PoseBenchConfig
     from neuralgrasps.evaluate.pose_bench import bench_pose as measure
-    from neuralgrasps.evaluate.pose_bench_figures import (
-        expected_figures,
-        figure_names,
-        pose_figures,
-        pose_table,
-    )
-    from neuralgrasps.parallel import available_cpus
+    from neuralgrasps.evaluate.pose_bench_figures import expected_figures, figure_names, pose_figures, pose_table
 
-    config = replace(QUICK if quick else PoseBenchConfig(), seed=seed)
-    if count is not None:
-        config = replace(config, scenes=count)
-    sources = pose_objects(objects)
-    library, models = open_library(terminal, sources)
+    config = with_options(QUICK if quick else PoseBenchConfig(), seed=seed, scenes=count)
+    library, models = open_library(terminal, pose_objects(objects))
     with terminal.progress("pose", "tasks") as bar:
         bench = measure(library, config=config, workers=workers, progress=bar)
     figures, table = pose_figures(bench), pose_table(bench)
-    absent = {name: why for subject, why in bench.absent.items() for name in figure_names(subject)}
-    absent |= {name: "not measured" for name in expected_figures() if name not in figures and name not in absent}
     _show(terminal, table["methods"])
-    for why in dict.fromkeys(absent.values()):
-        terminal.say(f"absent: {', '.join(name for name in absent if absent[name] == why)}: {why}")
-    shown = {
-        **asdict(config),
-        "quick": quick,
-        "workers": workers or available_cpus(),
-        "objects": {name: obj.provenance.get("source", "") for name, obj in models.items()},
-        "run": library.run,
-        "packages": _packages(),
-        "counts": _counts(table),
+    reasons = {name: why for subject, why in bench.absent.items() for name in figure_names(subject)}
+    return {
+        "config": conditions(
+            config, models, quick=quick, workers=workers, run=library.run, packages=_packages(), counts=_counts(table)
+        ),
+        "figures": figures,
+        "absent": absent_figures(terminal, figures, expected_figures(), reasons),
+        "notes": _NOTES,
+        "table": table,
     }
-    return {"config": shown, "figures": figures, "absent": absent, "notes": _NOTES, "table": table}
 
 
 def pose_objects(given: Sequence[str]) -> tuple[str, ...]:
