@@ -19,13 +19,13 @@ ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
-def python_blocks(text: str) -> list[str]:
-    return re.findall(r"```python\n(.*?)```", text, re.S)
+def blocks(text: str, language: str) -> list[str]:
+    return [body for said, body in re.findall(r"^```(\w*)\n(.*?)^```", text, re.S | re.M) if said == language]
 
 
 def command_lines(text: str) -> Iterator[list[str]]:
     """Words after `neuralgrasps` in code blocks and in code within a line, comments left out."""
-    quoted = re.findall(r"```\n(.*?)```", text, re.S) + re.findall(r"(?<!`)`([^`\n]+)`(?!`)", text)
+    quoted = blocks(text, "") + re.findall(r"(?<!`)`([^`\n]+)`(?!`)", text)
     for line in "\n".join(quoted).replace(".venv/bin/", "").splitlines():
         if line.startswith("neuralgrasps ") and "VERB" not in line:
             yield shlex.split(line, comments=True)[1:]
@@ -33,14 +33,19 @@ def command_lines(text: str) -> Iterator[list[str]]:
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_what_python_snippets_call_exists(document: Path) -> None:
-    for block in python_blocks(document.read_text()):
+    for block in blocks(document.read_text(), "python"):
         for node in ast.walk(ast.parse(block)):
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "ng":
-                assert hasattr(ng, node.attr), f"{document.name} shows ng.{node.attr}"
-            if isinstance(node, ast.Call) and ast.unparse(node.func).startswith("ng."):
-                taken = inspect.signature(getattr(ng, ast.unparse(node.func)[3:])).parameters
-                shown = [k.arg for k in node.keywords if k.arg is not None]
-                assert set(shown) <= set(taken), f"{document.name}: {ast.unparse(node)}"
+            name = _name_of_ours(node.func) if isinstance(node, ast.Call) else _name_of_ours(node)
+            assert name is None or hasattr(ng, name), f"{document.name} shows ng.{name}"
+            if name is not None and isinstance(node, ast.Call):
+                taken = inspect.signature(getattr(ng, name)).parameters
+                shown = {k.arg for k in node.keywords if k.arg is not None}
+                assert shown <= set(taken), f"{document.name}: {ast.unparse(node)}"
+
+
+def _name_of_ours(node: ast.AST) -> str | None:
+    ours = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "ng"
+    return node.attr if ours and isinstance(node, ast.Attribute) else None
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
@@ -67,7 +72,7 @@ def test_every_verb_is_in_the_readme() -> None:
 def test_the_tour_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     seen: dict[str, object] = {}
-    for block in python_blocks((ROOT / "docs" / "tour.md").read_text()):
+    for block in blocks((ROOT / "docs" / "tour.md").read_text(), "python"):
         exec(compile(block, "docs/tour.md", "exec"), seen)
     assert seen["demo"].stage == "" and len(seen["result"].grasps) > 0  # type: ignore[attr-defined]
     assert seen["proposal"].plan is not None  # type: ignore[attr-defined]
