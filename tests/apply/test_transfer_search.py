@@ -10,8 +10,7 @@ from neuralgrasps.apply.transfer_query import query_from_grasp
 from neuralgrasps.apply.transfer_search import SearchConfig, rank_known, search
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
-from neuralgrasps.model.fit_kernels import new_work
-from neuralgrasps.model.fit_solver import moved_pose
+from neuralgrasps.hands.least_squares import moved_pose, new_work
 from neuralgrasps.seeds import child_rng
 from neuralgrasps.synthesis.candidates import VALID
 from tests.apply.conftest import BoxWorld

@@ -3,15 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from neuralgrasps.dataset.hand_surface import packed_link_poses, sample_posed_surface
+from neuralgrasps.dataset.hand_surface import sample_posed_surface
 from neuralgrasps.dataset.samples import hand_distances
 from neuralgrasps.geometry.sdf_grid import query_grid_numpy
-from neuralgrasps.kinematics.jacobian import link_jacobian
+from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.model.fit_config import InferConfig
-from neuralgrasps.model.fit_kernels import fit_cost, fit_gradient, link_twists
+from neuralgrasps.model.fit_kernels import fit_cost, fit_gradient
 from neuralgrasps.model.fit_prior import grasp_prior, posed_points
 from neuralgrasps.model.fit_search import CloudSearch
-from neuralgrasps.model.fit_solver import fit_hand, moved_pose, score_starts
+from neuralgrasps.model.fit_solver import fit_hand, score_starts
 
 
 @pytest.fixture(scope="module", params=["allegro", "fetch"])
@@ -33,19 +33,6 @@ def off(packed, X, q, size: float) -> tuple[np.ndarray, np.ndarray]:
     moved_pose(X, size * rng.normal(size=6), out)
     span = packed.upper - packed.lower
     return out, np.clip(q + size * span * rng.normal(size=q.shape), packed.lower + 1e-4, packed.upper - 1e-4)
-
-
-def test_link_twists_are_the_jacobian(case, small_world) -> None:
-    packed, _, _, q = case
-    hand = next(h for h in small_world.hands.values() if h.num_dofs == len(q))
-    twists = np.empty((len(packed.parents), len(q), 6))
-    X_HL = packed_link_poses(packed, q)
-    link_twists(packed, X_HL, twists)
-    point_L = np.array([0.01, -0.02, 0.03])
-    for link in range(len(packed.parents)):
-        p = X_HL[link, :3, :3] @ point_L + X_HL[link, :3, 3]
-        velocity = twists[link, :, :3] + np.cross(twists[link, :, 3:], p)
-        np.testing.assert_allclose(velocity.T, link_jacobian(hand.tree, q, link, point_L)[:3], atol=1e-12)
 
 
 @pytest.mark.parametrize("term", ["points", "coverage", "object", "posture"])

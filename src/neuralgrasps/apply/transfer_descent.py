@@ -13,20 +13,20 @@ import numpy as np
 from neuralgrasps.apply.transfer_kernels import Target
 from neuralgrasps.compiled import njit
 from neuralgrasps.hands.hand import Hand
-from neuralgrasps.hands.packed import PackedHand, pose_links
-from neuralgrasps.model.fit_kernels import (
+from neuralgrasps.hands.least_squares import (
+    add_damped,
     add_row,
     assemble,
-    gradient_in_H,
+    hold_limits,
     huber,
     link_twists,
-    nearest_of_parts,
+    moved_pose,
     new_work,
     object_rows,
-    part_poses_H,
+    solve_spd,
 )
-from neuralgrasps.model.fit_solver import hold_limits, moved_pose
-from neuralgrasps.model.spd import add_damped, solve_spd
+from neuralgrasps.hands.packed import PackedHand, pose_links
+from neuralgrasps.hands.posed_parts import gradient_in_H, nearest_of_parts, part_poses_H
 from neuralgrasps.objects.object_model import ObjectModel
 
 NEAR = 0.05  # differences of closeness below this count squared, above as they are

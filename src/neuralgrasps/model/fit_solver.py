@@ -2,44 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from neuralgrasps.compiled import njit
-from neuralgrasps.model.fit_kernels import evaluate, new_work
-from neuralgrasps.model.spd import add_damped, solve_spd
-
-
-@njit(cache=True, error_model="numpy")
-def moved_pose(X, step, out):  # type: ignore[no-untyped-def]
-    """X times the motion [v, w] = step[:6] (rotation vector w, translation v) into `out`."""
-    wx, wy, wz = step[3], step[4], step[5]
-    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
-    a = math.sin(angle) / angle if angle > 1e-12 else 1.0
-    c = (1.0 - math.cos(angle)) / (angle * angle) if angle > 1e-6 else 0.5
-    xx, yy, zz = wx * wx, wy * wy, wz * wz
-    columns = (
-        (1.0 - c * (yy + zz), c * wx * wy + a * wz, c * wx * wz - a * wy),
-        (c * wx * wy - a * wz, 1.0 - c * (xx + zz), c * wy * wz + a * wx),
-        (c * wx * wz + a * wy, c * wy * wz - a * wx, 1.0 - c * (xx + yy)),
-    )
-    for j in range(3):
-        x, y, z = columns[j]
-        for i in range(3):
-            out[i, j] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z
-    for i in range(3):
-        out[i, 3] = X[i, 0] * step[0] + X[i, 1] * step[1] + X[i, 2] * step[2] + X[i, 3]
-
-
-@njit(cache=True, error_model="numpy")
-def hold_limits(packed, q, A, b):  # type: ignore[no-untyped-def]
-    """Joints pressed against a limit stay there."""
-    for j in range(q.shape[0]):
-        if (q[j] <= packed.lower[j] and b[6 + j] > 0.0) or (q[j] >= packed.upper[j] and b[6 + j] < 0.0):
-            A[6 + j, : 6 + j] = 0.0
-            A[7 + j :, 6 + j] = 0.0
-            b[6 + j] = 0.0
+from neuralgrasps.hands.least_squares import damped_step, hold_limits, moved_hand, new_work
+from neuralgrasps.model.fit_kernels import evaluate
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -61,13 +28,8 @@ def fit_hand(packed, problem, X_OH, q, iterations):  # type: ignore[no-untyped-d
         hold_limits(packed, q, A, b)
         improved, trial = False, cost
         for _ in range(6):
-            add_damped(A, damping, 1e-10, damped)
-            if solve_spd(damped, b, step):
-                for i in range(size):
-                    step[i] = -step[i]
-                moved_pose(X_OH, step, X_new)
-                for j in range(q.shape[0]):
-                    q_new[j] = min(max(q[j] + step[6 + j], packed.lower[j]), packed.upper[j])
+            if damped_step(A, b, damping, 1e-10, damped, step):
+                moved_hand(packed, X_OH, q, step, X_new, q_new)
                 trial = evaluate(packed, problem, X_new, q_new, work, A_new, b_new)
                 if trial < cost:
                     improved = True

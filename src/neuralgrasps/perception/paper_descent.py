@@ -20,8 +20,8 @@ from neuralgrasps.geometry.rotation import exp_so3, log_so3
 from neuralgrasps.geometry.sdf_grid import SdfGrid, query_grid_gradient_numpy, query_grid_numpy
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix, inverse_np
 from neuralgrasps.hands.packed import PackedHand, pose_links
+from neuralgrasps.hands.posed_parts import gradient_in_H, nearest_of_parts, part_poses_H
 from neuralgrasps.model.field import GraspField
-from neuralgrasps.model.fit_kernels import gradient_in_H, nearest_of_parts, part_poses_H
 from neuralgrasps.model.kinematic_field import KinematicField
 from neuralgrasps.model.mlp_field import MlpField
 

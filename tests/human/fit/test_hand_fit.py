@@ -7,6 +7,7 @@ import pytest
 
 from neuralgrasps.errors import InputError, ShapeError
 from neuralgrasps.geometry.camera import Intrinsics, back_project
+from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.hands.packed import hand_distance_many, pack_shapes
 from neuralgrasps.hands.surface import hand_mesh
 from neuralgrasps.hands.variants import scaled_hand
@@ -16,7 +17,6 @@ from neuralgrasps.human.fit.view import nearest_allowed
 from neuralgrasps.human.postures import usual_postures
 from neuralgrasps.human.seen import FittedHand, SeenJoints, Side
 from neuralgrasps.human.skeleton import human_hand, joint_points
-from neuralgrasps.model.fit_solver import moved_pose
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.sim.camera import render_depth_view

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
+from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.hands.packed import PackedHand
 from neuralgrasps.human.fit.problem import HandProblem
 from neuralgrasps.human.fit.steps import curvature
-from neuralgrasps.model.fit_solver import moved_pose
 from neuralgrasps.seeds import child_rng
 
 COUNT = 16

@@ -16,62 +16,30 @@ import numpy as np
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
 from neuralgrasps.geometry.sdf_grid import grid_distance_gradient
+from neuralgrasps.hands.least_squares import (
+    add_sized_row,
+    assemble,
+    bounded_cost,
+    link_twists,
+    new_work,
+    posture_rows,
+    slow_cost,
+    turned_back,
+)
 from neuralgrasps.hands.packed import pose_links
-from neuralgrasps.human.fit.problem import ROW, new_hand_work
-from neuralgrasps.model.fit_kernels import gradient_in_H, link_twists, nearest_of_parts, part_poses_H
+from neuralgrasps.hands.posed_parts import gradient_in_H, nearest_of_parts, part_poses_H
 
+ROWS = 7  # of one link: base twist [v, w] and logarithm of the size
 _AWAY = 0.3  # cosine of the ray and a surface's normal, from which on a point cannot be seen there
 _GRAZING = 0.3  # the same from which on a ray's residual changes no faster with the surface
 _BEFORE_M, _MARCH = 0.15, 24
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def bounded_cost(squared, width):  # type: ignore[no-untyped-def]
-    """(cost, weight) of a squared residual: itself well below `width`, never above width^2 (Geman and McClure)."""
-    f = 1.0 / (1.0 + squared / (width * width))
-    return squared * f, f * f
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def slow_cost(squared, width):  # type: ignore[no-untyped-def]
-    """(cost, weight) of a squared residual: itself well below `width`, growing as its logarithm beyond (Cauchy)."""
-    u = squared / (width * width)
-    return width * width * math.log1p(u), 1.0 / (1.0 + u)
-
-
-@njit(cache=True, inline="always", error_model="numpy")
 def in_hand(X_CH, scale, p):  # type: ignore[no-untyped-def]
     """A camera point (3,) in the base frame of the hand of size 1."""
     dx, dy, dz = (p[0] - X_CH[0, 3]) / scale, (p[1] - X_CH[1, 3]) / scale, (p[2] - X_CH[2, 3]) / scale
-    return (
-        X_CH[0, 0] * dx + X_CH[1, 0] * dy + X_CH[2, 0] * dz,
-        X_CH[0, 1] * dx + X_CH[1, 1] * dy + X_CH[2, 1] * dz,
-        X_CH[0, 2] * dx + X_CH[1, 2] * dy + X_CH[2, 2] * dz,
-    )
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _turned_back(X, x, y, z):  # type: ignore[no-untyped-def]
-    """A vector turned by the inverse of X's rotation."""
-    return (
-        X[0, 0] * x + X[1, 0] * y + X[2, 0] * z,
-        X[0, 1] * x + X[1, 1] * y + X[2, 1] * z,
-        X[0, 2] * x + X[1, 2] * y + X[2, 2] * z,
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _add_row(G, h, nx, ny, nz, x, y, z, more, r, w):  # type: ignore[no-untyped-def]
-    """Add a residual r of weight w to its link's sums.
-
-    Its change is n . (velocity of the link's point p); when the size grows by its share, n . p + more.
-    """
-    s = (nx, ny, nz, y * nz - z * ny, z * nx - x * nz, x * ny - y * nx, nx * x + ny * y + nz * z + more)
-    for i in range(ROW):
-        f = w * s[i]
-        h[i] += f * r
-        for j in range(i + 1):
-            G[i, j] += f * s[j]
+    return turned_back(X_CH, dx, dy, dz)
 
 
 @njit(cache=True, error_model="numpy")
@@ -89,9 +57,9 @@ def _joint_rows(problem, X_CH, scale, X_HL, G, h):  # type: ignore[no-untyped-de
         total += weight * cost
         w *= weight * square
         # e = s (x - R^T (j - t) / s): its share in the size is s x, the row's own
-        _add_row(G[link], h[link], 1.0, 0.0, 0.0, x, y, z, 0.0, ex, w)
-        _add_row(G[link], h[link], 0.0, 1.0, 0.0, x, y, z, 0.0, ey, w)
-        _add_row(G[link], h[link], 0.0, 0.0, 1.0, x, y, z, 0.0, ez, w)
+        add_sized_row(G[link], h[link], 1.0, 0.0, 0.0, x, y, z, 0.0, ex, w)
+        add_sized_row(G[link], h[link], 0.0, 1.0, 0.0, x, y, z, 0.0, ey, w)
+        add_sized_row(G[link], h[link], 0.0, 0.0, 1.0, x, y, z, 0.0, ez, w)
     return total
 
 
@@ -142,7 +110,7 @@ def _cloud_rows(packed, problem, X_CH, scale, work):  # type: ignore[no-untyped-
             continue
         link = packed.part_link[part]
         # the point stays, the hand moves; growing, the surface at x - r g moves by itself
-        _add_row(work.G[link], work.h[link], -gx, -gy, -gz, x, y, z, more, r, w)
+        add_sized_row(work.G[link], work.h[link], -gx, -gy, -gz, x, y, z, more, r, w)
     return total
 
 
@@ -187,8 +155,8 @@ def _view_rows(problem, X_CH, scale, X_HL, G, h):  # type: ignore[no-untyped-def
             continue
         cost, w = bounded_cost(r * r, problem.free_width)
         total += problem.free_weight * cost
-        nx, ny, nz = _turned_back(X_CH, dx, dy, dz)
-        _add_row(G[link], h[link], nx, ny, nz, x, y, z, 0.0, r / scale, problem.free_weight * w * scale * scale)
+        nx, ny, nz = turned_back(X_CH, dx, dy, dz)
+        add_sized_row(G[link], h[link], nx, ny, nz, x, y, z, 0.0, r / scale, problem.free_weight * w * scale * scale)
     return total
 
 
@@ -209,11 +177,11 @@ def _object_rows(problem, X_CH, scale, X_HL, nearest, G, h):  # type: ignore[no-
         deep = d + problem.deep_slack
         if d >= nearest[link, 0] and deep >= 0.0:
             continue
-        gx, gy, gz = _turned_back(problem.X_OC, gx, gy, gz)
-        nx, ny, nz = _turned_back(X_CH, gx, gy, gz)
+        gx, gy, gz = turned_back(problem.X_OC, gx, gy, gz)
+        nx, ny, nz = turned_back(X_CH, gx, gy, gz)
         if deep < 0.0:
             total += problem.deep_weight * deep * deep
-            _add_row(G[link], h[link], nx, ny, nz, x, y, z, 0.0, deep / scale, problem.deep_weight * square)
+            add_sized_row(G[link], h[link], nx, ny, nz, x, y, z, 0.0, deep / scale, problem.deep_weight * square)
         if d < nearest[link, 0]:
             near = nearest[link]
             near[0], near[1], near[2], near[3], near[4], near[5], near[6] = d, nx, ny, nz, x, y, z
@@ -223,7 +191,7 @@ def _object_rows(problem, X_CH, scale, X_HL, nearest, G, h):  # type: ignore[no-
             continue
         cost, w = bounded_cost(near[0] * near[0], problem.touch_width)
         total += weight * cost
-        _add_row(
+        add_sized_row(
             G[link], h[link], near[1], near[2], near[3], near[4], near[5], near[6], 0.0, near[0] / scale,
             weight * w * square,
         )  # fmt: skip
@@ -231,62 +199,10 @@ def _object_rows(problem, X_CH, scale, X_HL, nearest, G, h):  # type: ignore[no-
 
 
 @njit(cache=True, error_model="numpy")
-def _assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
-    """Normal equations (lower triangle) over [base twist in H | q | log size] from the sums of the links."""
-    joints = twists.shape[1]
-    last = 6 + joints
-    Gt = np.empty(ROW)
-    for link in range(G.shape[0]):
-        g = G[link]
-        if g[0, 0] + g[1, 1] + g[2, 2] == 0.0:
-            continue
-        for i in range(ROW):
-            for j in range(i + 1):
-                g[j, i] = g[i, j]
-        for i in range(6):
-            b[i] += h[link, i]
-            A[last, i] += g[6, i]
-            for j in range(i + 1):
-                A[i, j] += g[i, j]
-        b[last] += h[link, 6]
-        A[last, last] += g[6, 6]
-        for j in range(joints):
-            t = twists[link, j]
-            if t[0] == 0.0 and t[1] == 0.0 and t[2] == 0.0 and t[3] == 0.0 and t[4] == 0.0 and t[5] == 0.0:
-                continue
-            for i in range(ROW):
-                s = 0.0
-                for k in range(6):
-                    s += g[i, k] * t[k]
-                Gt[i] = s
-            for i in range(6):
-                A[6 + j, i] += Gt[i]
-                b[6 + j] += t[i] * h[link, i]
-            A[last, 6 + j] += Gt[6]
-            for k in range(j + 1):
-                u = twists[link, k]
-                A[6 + j, 6 + k] += (
-                    u[0] * Gt[0] + u[1] * Gt[1] + u[2] * Gt[2] + u[3] * Gt[3] + u[4] * Gt[4] + u[5] * Gt[5]
-                )
-
-
-@njit(cache=True, error_model="numpy")
 def _prior_rows(problem, q, scale, A, b):  # type: ignore[no-untyped-def]
     """The t distribution of postures, and the usual size."""
-    joints, squared = q.shape[0], 0.0
-    for i in range(joints):
-        pull = 0.0
-        for j in range(joints):
-            pull += problem.q_precision[i, j] * (q[j] - problem.q_mean[j])
-        squared += pull * (q[i] - problem.q_mean[i])
-    whole = problem.q_freedom + joints
-    w = whole / (problem.q_freedom + squared)
-    for i in range(joints):
-        for j in range(joints):
-            b[6 + i] += w * problem.q_precision[i, j] * (q[j] - problem.q_mean[j])
-            if j <= i:
-                A[6 + i, 6 + j] += w * problem.q_precision[i, j]
-    total, last, off = whole * math.log1p(squared / problem.q_freedom), 6 + joints, math.log(scale) - problem.log_scale
+    total = posture_rows(problem.q_mean, problem.q_precision, problem.q_freedom, 1.0, q, A, b)
+    last, off = 6 + q.shape[0], math.log(scale) - problem.log_scale
     if problem.free_scale:
         A[last, last] += problem.log_scale_weight
         b[last] += problem.log_scale_weight * off
@@ -317,7 +233,7 @@ def hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b):  # type: ignore
     if problem.deep_weight > 0.0:
         total += _object_rows(problem, X_CH, scale, work.X_HL, work.nearest, work.G, work.h)
     link_twists(packed, work.X_HL, work.twists)
-    _assemble(work.G, work.h, work.twists, A, b)
+    assemble(work.G, work.h, work.twists, A, b)
     return total + _prior_rows(problem, q, scale, A, b)
 
 
@@ -325,7 +241,7 @@ def hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b):  # type: ignore
 def hand_cost(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
     """(cost, (7 + J,) its derivative by [base twist | q | log size]); for checks."""
     size = 7 + q.shape[0]
-    work = new_hand_work(packed, problem.cloud_C.shape[0])
+    work = new_work(packed, problem.cloud_C.shape[0], ROWS)
     b = np.empty(size)
     cost = hand_cost_rows(packed, problem, X_CH, q, scale, work, np.empty((size, size)), b)
     return cost, 2.0 * b

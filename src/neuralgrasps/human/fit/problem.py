@@ -1,15 +1,10 @@
-"""What a fit of a human hand is given, and the memory it works in, as arrays for compiled code. Torch-free."""
+"""What a fit of a human hand is given, as arrays for compiled code. Torch-free."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
-
-from neuralgrasps.compiled import njit
-
-ROW = 7
-"""Unknowns of one link's row: base twist [v, w] and logarithm of the size."""
 
 
 class HandProblem(NamedTuple):
@@ -59,32 +54,3 @@ class HandProblem(NamedTuple):
     log_scale: float
     log_scale_weight: float
     free_scale: bool
-
-
-class HandWork(NamedTuple):
-    """Memory of one fit, used again by every evaluation."""
-
-    X_HL: np.ndarray
-    X_PH: np.ndarray
-    centre_H: np.ndarray
-    nearest: np.ndarray
-    G: np.ndarray
-    h: np.ndarray
-    twists: np.ndarray
-    hint: np.ndarray
-
-
-@njit(cache=True, error_model="numpy")
-def new_hand_work(packed, points):  # type: ignore[no-untyped-def]
-    """Work space for a hand and a number of cloud points."""
-    links, joints, parts = packed.parents.shape[0], packed.lower.shape[0], packed.part_link.shape[0]
-    return HandWork(
-        np.empty((links, 4, 4)),
-        np.empty((parts, 3, 4)),
-        np.empty((parts, 3)),
-        np.empty((links, 7)),
-        np.empty((links, ROW, ROW)),
-        np.empty((links, ROW)),
-        np.empty((links, joints, 6)),
-        np.zeros(points, np.int64),
-    )

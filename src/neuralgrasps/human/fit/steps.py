@@ -8,26 +8,20 @@ import numpy as np
 
 from neuralgrasps.compiled import njit
 from neuralgrasps.geometry.pose_kernels import moved_point
+from neuralgrasps.hands.least_squares import damped_step, hold_limits, moved_hand, new_work
 from neuralgrasps.hands.packed import pose_links
-from neuralgrasps.human.fit.kernels import hand_cost_rows, in_hand
-from neuralgrasps.human.fit.problem import new_hand_work
-from neuralgrasps.model.fit_kernels import nearest_of_parts, part_poses_H
-from neuralgrasps.model.fit_solver import hold_limits, moved_pose
-from neuralgrasps.model.spd import add_damped, solve_spd
+from neuralgrasps.hands.posed_parts import nearest_of_parts, part_poses_H
+from neuralgrasps.human.fit.kernels import ROWS, hand_cost_rows, in_hand
 
 _MOST_GROWTH = 0.1  # of the log size in one step
 
 
 @njit(cache=True, error_model="numpy")
 def _step_to(packed, X_CH, q, scale, step, X_new, q_new):  # type: ignore[no-untyped-def]
-    """Write the pose and joints after -`step` (27,), which is overwritten; returns the new size."""
-    for i in range(step.shape[0]):
-        step[i] = -step[i]
+    """Write the pose and joints after a step (27,), which is overwritten; returns the new size."""
     for i in range(3):
         step[i] *= scale  # it is in lengths of the hand of size 1
-    moved_pose(X_CH, step, X_new)
-    for j in range(q.shape[0]):
-        q_new[j] = min(max(q[j] + step[6 + j], packed.lower[j]), packed.upper[j])
+    moved_hand(packed, X_CH, q, step, X_new, q_new)
     growth = min(max(step[6 + q.shape[0]], -_MOST_GROWTH), _MOST_GROWTH)
     return scale * math.exp(growth)
 
@@ -45,15 +39,14 @@ def lower_cost(packed, problem, X_CH, q, scale, iterations, enough):  # type: ig
     A, b, A_new, b_new = np.empty((size, size)), np.empty(size), np.empty((size, size)), np.empty(size)
     damped, step = np.empty((size, size)), np.empty(size)
     X_new, q_new = X_CH.copy(), q.copy()
-    work = new_hand_work(packed, problem.cloud_C.shape[0])
+    work = new_work(packed, problem.cloud_C.shape[0], ROWS)
     damping = 1e-2
     cost = hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b)
     for iteration in range(iterations):
         hold_limits(packed, q, A, b)
         improved, trial, scale_new = False, cost, scale
         for _ in range(5):
-            add_damped(A, damping, 1e-6, damped)
-            if solve_spd(damped, b, step):
+            if damped_step(A, b, damping, 1e-6, damped, step):
                 scale_new = _step_to(packed, X_CH, q, scale, step, X_new, q_new)
                 trial = hand_cost_rows(packed, problem, X_new, q_new, scale_new, work, A_new, b_new)
                 if trial < cost:
@@ -90,7 +83,7 @@ def curvature(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
     """
     size = 7 + q.shape[0]
     A, b, J = np.empty((size, size)), np.empty(size), np.zeros((3 * problem.joint_link.shape[0], size))
-    work = new_hand_work(packed, problem.cloud_C.shape[0])
+    work = new_work(packed, problem.cloud_C.shape[0], ROWS)
     hand_cost_rows(packed, problem, X_CH, q, scale, work, A, b)
     hold_limits(packed, q, A, b)
     for i in range(size):
@@ -115,7 +108,7 @@ def curvature(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
 def cloud_distances(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
     """(M,) signed distances of the cloud's points to the hand, metres, and the links (M,) they are nearest to."""
     count = problem.cloud_C.shape[0]
-    work, distance, link = new_hand_work(packed, count), np.empty(count), np.empty(count, np.int64)
+    work, distance, link = new_work(packed, count, ROWS), np.empty(count), np.empty(count, np.int64)
     pose_links(packed, q, work.X_HL)
     part_poses_H(packed, work.X_HL, work.X_PH, work.centre_H)
     for m in range(count):
