@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,30 +48,33 @@ def human_train(
         images: to learn from; the default is what the shipped weights saw.
         seed: of the start weights and of the images.
         threads: of the training, drawing included.
-        start: weights to start from: of a detector, for it; of the joints, for side (the shipped ones by default).
+        start: weights to start from: of a detector, for it; of the joints, for them and for side (there the shipped
+            ones by default).
         bank: file of hands closed on random solids, to draw; made first (3 minutes) where it does not exist, beside
             `out` when not given.
     """
-    check_seed(seed)
-    if images is not None and images < 1:
-        raise InputError(f"--images is {images}; expected at least 1.")
-    if threads < 1:
-        raise InputError(f"--threads is {threads}; expected at least 1.")
-    if start is not None and net == "joints":
-        raise InputError("--start belongs to the detector and to side; joints start from random weights.")
+    _check(images, seed, threads)
     check_writable(out)
     make_parent(out)
-    grasps = _bank(terminal, bank or out.with_name("hands.bank"))
     state = out.with_suffix(".training")
     if net != "side":
         terminal.kept = f"Training is kept in '{state}'; the same command goes on from there."
+    hands = _bank(terminal, bank or out.with_name("hands.bank"))
+    plan = _Plan(bank=hands, out=out, state=state, images=images, seed=seed, threads=threads, start=start)
     wall, cpu = time.perf_counter(), time.process_time()
-    plan = _Plan(bank=grasps, out=out, state=state, images=images, seed=seed, threads=threads, start=start)
     figures = {"detector": _train_detector, "side": _train_side, "joints": _train_joints}[net](terminal, plan)
     spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
     terminal.say(f"Weights of the {net} network: {out}")
     terminal.facts([(name.replace("_", " "), f"{value:.4g}") for name, value in figures.items()])
     return Outcome(result={"net": net, "file": str(out), "seed": seed, **figures, **spent})
+
+
+def _check(images: int | None, seed: int, threads: int) -> None:
+    check_seed(seed)
+    if images is not None and images < 1:
+        raise InputError(f"--images is {images}; expected at least 1.")
+    if threads < 1:
+        raise InputError(f"--threads is {threads}; expected at least 1.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,10 +149,14 @@ def _train_side(terminal: Terminal, plan: _Plan) -> dict[str, float]:
 
 
 def _train_joints(terminal: Terminal, plan: _Plan) -> dict[str, float]:
-    from neuralgrasps.human.nets.joint_train import JointTrainConfig, train_joints
-    from neuralgrasps.human.nets.net_files import save_weights
+    from neuralgrasps.human.nets.joint_net import JointNet
+    from neuralgrasps.human.nets.joint_train import FINE_RATE, JointTrainConfig, train_joints
+    from neuralgrasps.human.nets.net_files import read_weights, save_weights
 
-    config = JointTrainConfig(images=plan.images or JointTrainConfig().images, workers=plan.threads)
+    start, config = None, JointTrainConfig(images=plan.images or JointTrainConfig().images, workers=plan.threads)
+    if plan.start is not None:
+        start, config = JointNet(), replace(config, rate=FINE_RATE)
+        read_weights(start, plan.start)
     last: dict[str, float] = {}
     with terminal.progress("training", "images") as bar:
 
@@ -157,6 +164,6 @@ def _train_joints(terminal: Terminal, plan: _Plan) -> dict[str, float]:
             last.update(figures)
             bar(int(figures["images"]), config.images, f"root-relative {figures['root_relative_mm']:.1f} mm")
 
-        trained = train_joints(plan.bank, config, seed=plan.seed, report=report, checkpoint=plan.state)
+        trained = train_joints(plan.bank, config, seed=plan.seed, start=start, report=report, checkpoint=plan.state)
     save_weights(trained, plan.out, notes={"images": str(config.images), "seed": str(plan.seed)})
     return last

@@ -71,6 +71,12 @@ def mirrored(crop: Crop) -> Crop:
     return replace(crop, inputs=np.ascontiguousarray(crop.inputs[:, :, ::-1]), conditions=conditions)
 
 
+def turned(crop: Crop) -> Crop:
+    """What the image turned by 180 degrees would give: x to -x and y to -y."""
+    conditions = crop.conditions * np.array([1.0, -1.0, -1.0, 1.0], np.float32)
+    return replace(crop, inputs=np.ascontiguousarray(crop.inputs[:, ::-1, ::-1]), conditions=conditions)
+
+
 def crop_points(joints: np.ndarray, conditions: np.ndarray) -> np.ndarray:
     """Camera-frame points (..., K, 3), metres, of u, v, depth in a crop's units (..., K, 3); conditions (..., 4)."""
     width, x, y, z0 = (conditions[..., k, None] for k in range(4))

@@ -52,6 +52,7 @@ class CropMix(NamedTuple):
         shift, size: largest errors of a detected box: of its middle in its widths, of its width (log).
         poor: share of detected boxes that are off by up to 1.8 times as much.
         strongest_noise: times the camera's; measure_visible: render the hand alone too.
+        turned: share of crops of the image turned by 180 degrees.
     """
 
     refined: float = 0.5
@@ -60,6 +61,7 @@ class CropMix(NamedTuple):
     poor: float = 0.4
     strongest_noise: float = 1.4
     measure_visible: bool = False
+    turned: float = 0.0
 
 
 def make_crops(
@@ -88,18 +90,14 @@ def make_crops(
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _fill_crops(kit, scene, crop, seeds, room, batch):  # type: ignore[no-untyped-def]
-    depth, alone = np.empty((CROP, CROP), np.float32), np.empty((CROP, CROP), np.float32)
-    seen, labels = np.empty((CROP, CROP), np.float32), np.empty((CROP, CROP), np.int8)
+    alone = np.empty((CROP, CROP), np.float32)
+    depth, seen, labels = np.empty_like(alone), np.empty_like(alone), np.empty((CROP, CROP), np.int8)
     for n in range(seeds.shape[0]):
         batch.holds[n] = compose_scene(kit, scene, seeds[n], room)
         refined = np.random.random() < crop.refined
         batch.refined[n] = refined
         u, v, side = _hand_box(room.points[: kit.skin_core.shape[0]])
-        off = 1.8 if np.random.random() < crop.poor else 1.0
-        shift, size = (0.03, 0.05) if refined else (off * crop.shift, off * crop.size)
-        u += side * np.random.uniform(-shift, shift)
-        v += side * np.random.uniform(-shift, shift)
-        side *= math.exp(np.random.uniform(-size, size))
+        u, v, side = _wrong_box(u, v, side, crop, refined)
         fx, cx, cy = _crop_camera(u, v, side)
         depth[:], labels[:] = np.inf, 0
         count = room.counts[1]
@@ -114,17 +112,35 @@ def _fill_crops(kit, scene, crop, seeds, room, batch):  # type: ignore[no-untype
         _fill_conditions(u, v, side, z0, batch.conditions[n])
         hand = labels == HAND
         batch.mask[n] = hand
-        for k in range(21):
-            x, y, z = room.joints[k]
-            batch.joints[n, k, 0] = (CAMERA[0] * x / z + CAMERA[1] - u) / side
-            batch.joints[n, k, 1] = (CAMERA[0] * y / z + CAMERA[2] - v) / side
-            batch.joints[n, k, 2] = (z - z0) / DEPTH_UNIT_M
+        _fill_joints(room.joints, u, v, side, z0, batch.joints[n])
         batch.joints_C[n] = room.joints
         if crop.measure_visible:
             alone[:] = np.inf
             faces = kit.skin_faces.shape[0]
             raster_labels(room.points, room.faces[:faces], room.labels, fx, fx, cx, cy, NEAR_M, alone, labels)
             batch.visible[n] = hand.sum() / max(np.isfinite(alone).sum(), 1)
+        if crop.turned > 0.0 and np.random.random() < crop.turned:
+            _turn(batch, n)
+
+
+@njit(cache=True, error_model="numpy")
+def _wrong_box(u, v, side, crop, refined):  # type: ignore[no-untyped-def]
+    """A box as far off as a detector's, or as one taken again."""
+    off = 1.8 if np.random.random() < crop.poor else 1.0
+    shift, size = (0.03, 0.05) if refined else (off * crop.shift, off * crop.size)
+    u += side * np.random.uniform(-shift, shift)
+    v += side * np.random.uniform(-shift, shift)
+    return u, v, side * math.exp(np.random.uniform(-size, size))
+
+
+@njit(cache=True, error_model="numpy")
+def _turn(batch, n):  # type: ignore[no-untyped-def]
+    """Turn a crop and the truth about it by 180 degrees round the view; see `crop.turned`."""
+    batch.inputs[n] = batch.inputs[n, :, ::-1, ::-1].copy()
+    batch.mask[n] = batch.mask[n, ::-1, ::-1].copy()
+    batch.conditions[n, 1:3] *= -1.0
+    batch.joints[n, :, :2] *= -1.0
+    batch.joints_C[n, :, :2] *= -1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -165,3 +181,12 @@ def _fill_conditions(u, v, side, z0, out):  # type: ignore[no-untyped-def]
     out[0] = side * z0 / CAMERA[0]
     out[1], out[2] = (u - CAMERA[1]) / CAMERA[0], (v - CAMERA[2]) / CAMERA[0]
     out[3] = z0
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _fill_joints(joints_C, u, v, side, z0, out):  # type: ignore[no-untyped-def]
+    for k in range(joints_C.shape[0]):
+        x, y, z = joints_C[k]
+        out[k, 0] = (CAMERA[0] * x / z + CAMERA[1] - u) / side
+        out[k, 1] = (CAMERA[0] * y / z + CAMERA[2] - v) / side
+        out[k, 2] = (z - z0) / DEPTH_UNIT_M

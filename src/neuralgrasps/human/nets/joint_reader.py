@@ -10,7 +10,16 @@ import numpy as np
 import torch
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.human.nets.crop import BOX_MARGIN, DEPTH_UNIT_M, Crop, crop_points, full_mask, mirrored, take_crop
+from neuralgrasps.human.nets.crop import (
+    BOX_MARGIN,
+    DEPTH_UNIT_M,
+    Crop,
+    crop_points,
+    full_mask,
+    mirrored,
+    take_crop,
+    turned,
+)
 from neuralgrasps.human.nets.joint_net import JointNet, JointVotes
 from neuralgrasps.human.nets.net_files import ASSETS, has_bf16, read_weights
 from neuralgrasps.human.seen import HandBox, SeenJoints
@@ -28,7 +37,10 @@ _SAME_PLACE, _SAME_SIZE, _SAME_M = 0.03, 0.05, 0.015  # what second crops of the
 
 
 class JointReader:
-    """A trained net; see `load`. It looks twice, the second time round the joints found, and takes the mean of both."""
+    """A trained net; see `load`. It looks twice and takes the mean of both.
+
+    The second crop is round the joints found, and turned by 180 degrees: the errors of a turned look are others.
+    """
 
     def __init__(self, net: JointNet, *, looks: int = 2) -> None:
         """Take a net; it is changed for use (`JointNet.fused`).
@@ -76,7 +88,7 @@ class JointReader:
             taken = [crop for crop in crops if crop is not None]
             if not taken:
                 break
-            points_C, widths, masks = self._run(taken, [boxes[row].side == "left" for row in rows])
+            points_C, widths, masks = self._run(taken, [boxes[row].side == "left" for row in rows], turn=look % 2 == 1)
             for k, row in enumerate(rows):
                 found[row].add(points_C[k], widths[k])
                 crops[row] = _crop_round(frames[row], points_C[k], taken[k]) if look + 1 < self._looks else None
@@ -84,12 +96,17 @@ class JointReader:
                     out[row] = _seen(frames[row], boxes[row], taken[k], found[row], masks[k])
         return out
 
-    def _run(self, crops: list[Crop], lefts: list[bool]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _run(self, crops: list[Crop], lefts: list[bool], *, turn: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Joints (N, 21, 3) in the camera frame, expected errors (N, 21), metres, and masks (N, 96, 96) of crops."""
         looked = [mirrored(crop) if left else crop for crop, left in zip(crops, lefts, strict=True)]
+        if turn:
+            looked = [turned(crop) for crop in looked]
         conditions = np.stack([crop.conditions for crop in looked])
         votes = self._votes(np.stack([crop.inputs for crop in looked]), conditions)
         points_C, masks = crop_points(votes.joints.double().numpy(), conditions), votes.mask.numpy() > 0
+        if turn:
+            points_C[..., :2] *= -1.0
+            masks = masks[:, ::-1, ::-1].copy()
         for k, left in enumerate(lefts):
             if left:
                 points_C[k, :, 0] *= -1.0

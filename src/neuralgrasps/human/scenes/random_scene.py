@@ -152,13 +152,7 @@ def compose_scene(kit, mix, seed, room):  # type: ignore[no-untyped-def]
     has_table = np.random.random() < mix.table
     forearm_H = _draw_forearm_direction()
     R = room.X_CH[:3, :3]
-    for _ in range(12):
-        random_rotation(R)
-        rise = 0.0
-        for i in range(3):
-            rise += up[i] * (R[i, 0] * forearm_H[0] + R[i, 1] * forearm_H[1] + R[i, 2] * forearm_H[2])
-        if not has_table or rise > -0.1:
-            break
+    _draw_turn(R, up, forearm_H, has_table)
     palm = np.empty(3)
     palm[2] = np.random.uniform(mix.nearest_m, mix.farthest_m)
     palm[0] = palm[2] * np.random.uniform(-mix.span_x, mix.span_x)
@@ -187,6 +181,18 @@ def _draw_up():  # type: ignore[no-untyped-def]
     up = np.empty(3)
     up[0], up[1], up[2] = math.cos(pitch) * math.sin(roll), -math.cos(pitch) * math.cos(roll), -math.sin(pitch)
     return up
+
+
+@njit(cache=True, error_model="numpy")
+def _draw_turn(R, up, forearm_H, has_table):  # type: ignore[no-untyped-def]
+    """A rotation of the hand; where there is a table, forearms seldom come from below."""
+    for _ in range(12):
+        random_rotation(R)
+        rise = 0.0
+        for i in range(3):
+            rise += up[i] * (R[i, 0] * forearm_H[0] + R[i, 1] * forearm_H[1] + R[i, 2] * forearm_H[2])
+        if not has_table or rise > -0.1:
+            break
 
 
 @njit(cache=True, error_model="numpy")
@@ -301,6 +307,13 @@ def _place_forearm(room, along, size):  # type: ignore[no-untyped-def]
         p[i] = length * along[i]
     p[0] += bend
     moved_to(room.X_CH, p, room.points[end])
+    _join_rings(room, first, end)
+    room.counts[0] = end + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _join_rings(room, first, end):  # type: ignore[no-untyped-def]
+    """Triangles between the rings of corners from `first` on, the last of which meets in the corner `end`."""
     for ring in range(_RINGS):
         for k in range(_ROUND):
             a, b = first + ring * _ROUND + k, first + ring * _ROUND + (k + 1) % _ROUND
@@ -309,7 +322,6 @@ def _place_forearm(room, along, size):  # type: ignore[no-untyped-def]
             else:
                 add_face(room, a, b, a + _ROUND, FOREARM)
                 add_face(room, b, b + _ROUND, a + _ROUND, FOREARM)
-    room.counts[0] = end + 1
 
 
 @njit(cache=True, error_model="numpy")
