@@ -21,18 +21,20 @@ from neuralgrasps.cli.options import (
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
 
-Benchmark = Literal["demo", "synthesis", "latent", "pose", "execute", "transfer", "demonstrate"]
+Benchmark = Literal["demo", "synthesis", "latent", "pose", "execute", "transfer", "demonstrate", "joints"]
 _FIXED_HANDS = {
     "pose": "the hands are those of the shipped run",
     "execute": "it measures Fetch, and Panda with the Allegro hand",
     "demonstrate": "a Fetch repeats what people show",
+    "joints": "it reads the human hand",
 }
 
 
 def bench(
     terminal: Terminal,
     name: Annotated[
-        Literal["demo", "synthesis", "latent", "pose", "execute", "transfer", "demonstrate"], tyro.conf.Positional
+        Literal["demo", "synthesis", "latent", "pose", "execute", "transfer", "demonstrate", "joints"],
+        tyro.conf.Positional,
     ],
     /,
     *,
@@ -52,18 +54,19 @@ def bench(
         name: demo, the whole path into a temporary folder; synthesis, speed and quality of grasps pair by pair;
             latent, cost and quality of the latent space; pose, errors and speed of pose estimates beside others';
             execute, objects lifted in simulation, by pose method and robot; transfer, grasps carried over between all
-            pairs of hands; or demonstrate, synthetic RGB-D demonstrations repeated by a robot.
+            pairs of hands; demonstrate, synthetic RGB-D demonstrations repeated by a robot; or joints, a person's hand
+            read by the joint net in random scenes.
         objects: names, mesh files or folders of mesh files; default the three objects of the demo, or all built-in;
             latent and what follows: the scans where they were imported or downloaded.
-        hands: default the five built-in hands; not of pose, execute and demonstrate.
+        hands: default the five built-in hands; not of pose, execute, demonstrate and joints.
         count: grasps per hand and object; default 24 in demo, 60 in synthesis and latent; pose: scenes per object and
             set, default 20, with --quick 10; execute: scenes per object, default 50, with --quick 5; transfer: queries
             per pair of hands and object, default 10, with --quick 2; demonstrate: videos per object, default 10, with
-            --quick 2.
+            --quick 2; joints: scenes of each set of solids, default 700, with --quick 240.
         seed: root of every random number.
         workers: processes.
         quick: demo: one object, two hands and 8 grasps a pair; synthesis: three objects; latent: the shipped run, and
-            two objects trained anew; pose, execute, transfer and demonstrate: fewer scenes, queries or videos.
+            two objects trained anew; the others: fewer scenes, queries or videos.
         unseen_hand: synthesis: also time 20 grasps of the soup can by this URDF or MJCF in a fresh process.
         run: latent: measure this run, by folder or shipped name, and train two of its objects anew.
         grasps: latent: folder of grasps; those of all pairs are made there first unless they are.
@@ -74,23 +77,29 @@ def bench(
     options: dict[str, Any] = {
         "objects": objects, "hands": hands, "count": count, "seed": seed, "workers": workers, "quick": quick,
     }  # fmt: skip
-    if unseen_hand is not None and name != "synthesis":
-        raise InputError(f"--unseen-hand is of 'bench synthesis'; 'bench {name}' takes every hand with --hands.")
-    if name != "latent" and (run is not None or grasps is not None):
-        raise InputError(f"--run and --grasps are of 'bench latent'; 'bench {name}' makes its own.")
-    if name in _FIXED_HANDS:
-        if hands:
-            raise InputError(f"--hands is not of 'bench {name}': {_FIXED_HANDS[name]}.")
-        del options["hands"]
-    if name == "latent":
-        options |= {"run": run, "grasps": grasps}
-    if name == "synthesis":
-        options["unseen_hand"] = unseen_hand
+    options |= {"unseen_hand": unseen_hand, "run": run, "grasps": grasps}
+    chosen = _options(name, options)
     measured_on = machine()
     measure = getattr(importlib.import_module(f"neuralgrasps.cli.bench_{name}"), f"bench_{name}")
-    result = measure(terminal, **options)
+    result = measure(terminal, **chosen)
     terminal.table(("figure", "value"), [(key, float(value)) for key, value in result["figures"].items()])
     return Outcome(result={"name": name, "machine": measured_on, **result})
+
+
+def _options(name: Benchmark, given: dict[str, Any]) -> dict[str, Any]:
+    """Those that a benchmark takes.
+
+    Raises:
+        InputError: one was given that belongs to another.
+    """
+    options = dict(given)
+    if name != "synthesis" and options.pop("unseen_hand") is not None:
+        raise InputError(f"--unseen-hand is of 'bench synthesis'; 'bench {name}' takes every hand with --hands.")
+    if name != "latent" and (options.pop("run") is not None) | (options.pop("grasps") is not None):
+        raise InputError(f"--run and --grasps are of 'bench latent'; 'bench {name}' makes its own.")
+    if name in _FIXED_HANDS and options.pop("hands"):
+        raise InputError(f"--hands is not of 'bench {name}': {_FIXED_HANDS[name]}.")
+    return options
 
 
 def machine() -> dict[str, Any]:

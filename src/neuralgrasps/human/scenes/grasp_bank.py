@@ -5,6 +5,7 @@ Everything is relative to the hand at scale 1; a scene scales hand and solid tog
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,6 +83,21 @@ def make_grasp_bank(solids: list[Mesh], *, proposals: int = 512, seed: int = 0) 
         points_O=points_O, faces=faces, point_start=point_start, face_start=face_start,
         solid=np.concatenate(held), X_OH=np.concatenate(X_OH), q=np.concatenate(q),
     )  # fmt: skip
+
+
+def joined_banks(banks: Sequence[GraspBank]) -> GraspBank:
+    """All solids and grasps of some banks in one; at least one bank."""
+    points, faces = (np.cumsum([0, *(len(getattr(bank, name)) for bank in banks)]) for name in ("points_O", "faces"))
+    solids = np.cumsum([0, *(bank.num_solids for bank in banks)])
+    return GraspBank(
+        points_O=np.concatenate([bank.points_O for bank in banks]),
+        faces=np.concatenate([bank.faces for bank in banks]),
+        point_start=np.concatenate([[0], *(b.point_start[1:] + at for b, at in zip(banks, points, strict=False))]),
+        face_start=np.concatenate([[0], *(b.face_start[1:] + at for b, at in zip(banks, faces, strict=False))]),
+        solid=np.concatenate([b.solid + np.int32(at) for b, at in zip(banks, solids, strict=False)]),
+        X_OH=np.concatenate([bank.X_OH for bank in banks]),
+        q=np.concatenate([bank.q for bank in banks]),
+    )
 
 
 def training_solids(count: int = 96, *, seed: int = 0) -> list[Mesh]:

@@ -33,6 +33,25 @@ class ImageNoise(NamedTuple):
     baseline_m: float
 
 
+CAMERA_NOISE = ImageNoise(
+    _AXIAL_M, _STEP_M, STRUCTURED_LIGHT.grazing_dropout, _EDGE_LOSS, _FLYING, _LATERAL_PX, _BASELINE_M
+)  # fmt: skip
+"""The camera's own."""
+
+
+def sensed_image(depth: np.ndarray, fx: float, *, noise: ImageNoise, seed: int) -> np.ndarray:
+    """`sense_image` of the camera's whole image, with a seed (0 to 2^32 - 1)."""
+    out = np.empty(depth.shape, np.float32)
+    _sense_seeded(np.asarray(depth, np.float32), fx, noise, np.uint32(seed), out)
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def _sense_seeded(depth, fx, noise, seed, out):  # type: ignore[no-untyped-def]
+    np.random.seed(seed)
+    sense_image(depth, fx, 1.0, noise, out)
+
+
 @njit(cache=True, error_model="numpy")
 def draw_noise(strongest):  # type: ignore[no-untyped-def]
     """Noise of a random strength up to `strongest` times that of the camera, its projector on either side or none."""
