@@ -42,8 +42,19 @@ def test_an_object_that_no_hand_grasps_ends_with_code_1_and_the_reason(ng: Call,
     assert not (tmp_path / "videos").exists()
 
 
+def test_a_badly_seen_hand_is_asked_for_by_its_share(ng: Call, tmp_path: Path) -> None:
+    asked = ("human", "record", "--object", "gelatin_box", "--side", "right", "--scale", 0.78, "--seed", 2)
+    made = ng(*asked, "--no-noise", "--share", 0.4, 0.6, "--out", tmp_path / "video")
+    record = made.result["recordings"][0]
+    truth = read_truth(tmp_path / "video")
+    assert made.code == 0 and 0.4 <= record["visible_at_grasp"] <= 0.6
+    assert record["visible_at_grasp"] == float(truth.visible[truth.grasp_frame])
+    assert f"{100 * record['visible_at_grasp']:.0f} %" in made.out
+
+
 def test_what_cannot_be_is_refused(ng: Call, tmp_path: Path) -> None:
     asked = ("human", "record", "--object", "gelatin_box", "--out", tmp_path / "videos")
     assert "0.66 to 0.92" in ng(*asked, "--scale", 1.0).err
+    assert "share is (0.8, 0.4)" in ng(*asked, "--share", 0.8, 0.4).err
     assert "--count is 0" in ng(*asked, "--count", 0).err
     assert ng("human", "record", "--object", "gelatin_bok", "--out", tmp_path / "videos").code == 2

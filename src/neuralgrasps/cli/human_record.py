@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, RecordedDemonstration
     from neuralgrasps.objects.object_model import ObjectModel
 
+Share = Annotated[
+    tuple[float, float] | None, tyro.conf.arg(metavar="LEAST MOST", help_behavior_hint="(default: 0.45 or more)")
+]
 Either = Annotated[Literal["either", "right", "left"], tyro.conf.arg(metavar="SIDE")]
 
 
@@ -30,6 +33,7 @@ def human_record(
     side: Either = "either",
     scale: OptionalFloat = None,
     kind: Literal["any", "power", "precision"] = "any",
+    share: Share = None,
     clutter: int = 0,
     noise: bool = True,
     unit: Unit = "auto",
@@ -48,6 +52,8 @@ def human_record(
         side: of the hand.
         scale: size of the hand, 0.66 to 0.92 (166 to 232 mm from wrist to middle fingertip); default drawn.
         kind: of the grasp.
+        share: of the hand that is seen at the grasp, such as 0.4 0.75 for one that is badly seen: from the object's far
+            side, from low down, or past a thing that stands before it. Looked for, not promised: see the table.
         clutter: other things on the table.
         noise: depth with the errors of a structured-light camera; --no-noise: exact depth.
         unit: length unit of a mesh file; auto takes over 3 units for mm.
@@ -61,8 +67,8 @@ def human_record(
         raise InputError(f"--count is {count}; expected at least 1.")
     check_writable(out, folder=True)
     config = DemonstrationConfig(
-        side=None if side == "either" else side, scale=scale, kind=kind, clutter=clutter,
-        noise=STRUCTURED_LIGHT if noise else None,
+        side=None if side == "either" else side, scale=scale, kind=kind, share=share,
+        clutter=clutter, noise=STRUCTURED_LIGHT if noise else None,
     )  # fmt: skip
     with terminal.progress("reading the object"):
         obj = load_object(object_name, unit=unit)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -12,7 +13,9 @@ from neuralgrasps.geometry.camera import Intrinsics
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.human.seen import Side
 from neuralgrasps.human.skeleton import joint_points
+from neuralgrasps.human.synthetic.hidden_view import Acted, HiddenView, choose_hidden_view
 from neuralgrasps.human.synthetic.motion import Motion, demonstration_motion
+from neuralgrasps.human.synthetic.occluder import swept
 from neuralgrasps.human.synthetic.recording import UNITS_PER_METRE, DemonstrationTruth, RecordedDemonstration
 from neuralgrasps.human.synthetic.scene import (
     Looks,
@@ -55,6 +58,8 @@ class DemonstrationConfig:
         wall: something is behind the table; None: half of the time. clutter: other things on the table.
         noise: of the depth; None: exact. width, height: of the images, pixels.
         least_share: of the hand that is wanted to be visible at the grasp.
+        share: least and most of the hand that is to be visible at the grasp, in place of `least_share`, such as
+            (0.4, 0.75): a badly seen grasp, by where the camera stands, else by a thing that stands before the hand.
     """
 
     side: Side | None = None
@@ -69,6 +74,7 @@ class DemonstrationConfig:
     width: int = 640
     height: int = 480
     least_share: float = 0.45
+    share: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if self.side not in (None, "right", "left"):
@@ -79,6 +85,10 @@ class DemonstrationConfig:
             raise InputError(
                 f"rate_hz is {self.rate_hz}, still_frames {self.still_frames}, clutter {self.clutter}; expected a rate "
                 "above 0, a range from 1 up, and 0 or more things."
+            )
+        if self.share is not None and not 0.0 < self.share[0] < self.share[1] <= 1.0:
+            raise InputError(
+                f"share is {self.share}; expected least and most of the hand that is seen, such as (0.4, 0.75)."
             )
 
 
@@ -120,7 +130,7 @@ def record_demonstration(
         object=obj.name, side=act.side, scale=act.scale, kind="precision" if act.precision else "power",
         X_CO=X_CW @ motion.X_WO, X_CH=X_CH, q=motion.q, joints_C=joint_points(act.hand, X_CH, motion.q),
         hand_mask=mask, visible=visible, still=motion.still, grasp_frame=motion.grasp_frame,
-        X_OH=np.linalg.inv(act.X_WO) @ act.path.X_WH, notes=act.notes,
+        X_OH=np.linalg.inv(act.X_WO) @ act.path.X_WH, notes=(*act.notes, *film.notes),
     )  # fmt: skip
     return RecordedDemonstration(
         depth_units=units, colour=colour, intrinsics=film.intrinsics, X_WC=film.X_WC, rate_hz=config.rate_hz,
@@ -138,14 +148,12 @@ class _Film:
         self._arm = arm_meshes(act.hand, act.forearm_H, act.path.X_WH[2, :3], scale=act.scale)
         looks, moving = Looks.drawn(rng), (self._body.mesh, obj.mesh, *self._arm)
         self.intrinsics = _intrinsics(config.width, config.height, rng)
-        middle_W = joint_points(act.hand, act.path.X_WH, act.path.q).mean(axis=0)
-        self.X_WC = choose_camera(
-            rng, intrinsics=self.intrinsics, person=act.person, hand_W=middle_W, meshes=moving,
-            moments=[self._vertices(t) for t in (motion.grasp_frame, len(motion.q) - 1)],
-            least_share=config.least_share,
-        )  # fmt: skip
+        view = self._view(act, moving, config, rng)
+        self.X_WC, self.notes = view.X_WC, (view.note,) if view.note else ()
         wall = bool(rng.random() < 0.5) if config.wall is None else config.wall
-        stay = surroundings(rng, X_WC=self.X_WC, person=act.person, clutter=config.clutter, wall=wall)
+        stay = surroundings(
+            rng, X_WC=self.X_WC, person=act.person, clutter=config.clutter, wall=wall, occluder=view.occluder
+        )  # fmt: skip
         colours = (looks.skin, looks.obj, looks.skin, looks.sleeve)
         self._hand_index = len(stay)
         self._scene = ShadedScene(
@@ -153,6 +161,25 @@ class _Film:
             light_W=np.array([rng.uniform(-0.8, 0.8), rng.uniform(-0.8, 0.8), rng.uniform(1.5, 2.2)]),
             move=[Thing(mesh=m, colour=c) for m, c in zip(moving, colours, strict=True)],
         )  # fmt: skip
+
+    def _view(
+        self, act: Act, moving: Sequence[Mesh], config: DemonstrationConfig, rng: np.random.Generator
+    ) -> HiddenView:
+        """The camera, and what stands before it."""
+        middle_W = joint_points(act.hand, act.path.X_WH, act.path.q).mean(axis=0)
+        grasp, last = (self._vertices(t) for t in (self._motion.grasp_frame, len(self._motion.q) - 1))
+        if config.share is None:
+            X_WC = choose_camera(
+                rng, intrinsics=self.intrinsics, person=act.person, hand_W=middle_W, meshes=moving,
+                moments=[grasp, last], least_share=config.least_share,
+            )  # fmt: skip
+            return HiddenView(X_WC=X_WC)
+        every = (self._vertices(t) for t in range(len(self._motion.q)))
+        acted = Acted(
+            person=act.person, hand_W=middle_W, meshes=moving, moments=[self._vertices(0), grasp, last],
+            swept_W=cache(lambda: swept(moving, every)),
+        )  # fmt: skip
+        return choose_hidden_view(rng, acted, intrinsics=self.intrinsics, share=config.share)
 
     def pictures(self) -> Iterator[tuple[Picture, np.ndarray, float]]:
         """Each frame's picture, the hand's pixels (h, w) bool, and the share of the hand that is seen."""

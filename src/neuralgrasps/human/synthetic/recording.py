@@ -26,7 +26,7 @@ class DemonstrationTruth:
         visible: (T,) share of the hand's outline, parts outside the image included, that is seen in the image.
         still: first frame of the closed hand that keeps still, and the first after these; grasp_frame: their middle.
         X_OH: (4, 4) the grasp.
-        notes: sizes and resting poses that were drawn first, and why they gave no grasp.
+        notes: sizes and resting poses that were drawn first, and why they gave no grasp; what stands before the hand.
     """
 
     object: str

@@ -72,23 +72,36 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
-def surroundings(rng: np.random.Generator, *, X_WC: np.ndarray, person: float, clutter: int, wall: bool) -> list[Thing]:
+def surroundings(
+    rng: np.random.Generator,
+    *,
+    X_WC: np.ndarray,
+    person: float,
+    clutter: int,
+    wall: bool,
+    occluder: Thing | None = None,
+) -> list[Thing]:
     """Table, wall and clutter in W: the table at z = 0, the wall behind it as the camera sees it.
 
     Args:
         person: azimuth from which the arm comes, rad. clutter: things beside the object, 0.24 to 0.4 m from it.
+        occluder: a thing that stands there already, in W; the clutter is put away from it.
     """
     table = box_mesh([rng.uniform(0.6, 0.9), rng.uniform(0.45, 0.7), 0.015])
     turn = rng.uniform(0.0, 2.0 * np.pi)
-    things = [Thing(mesh=_placed(table, [0.0, 0.0, -0.015], turn), colour=_picked(TABLES, rng))]
+    things = [Thing(mesh=placed(table, [0.0, 0.0, -0.015], turn), colour=picked(TABLES, rng))]
     view = float(np.arctan2(X_WC[1, 3], X_WC[0, 3]))
     if wall:
         away = rng.uniform(0.95, 1.6)
         panel = box_mesh([0.02, 2.5, 1.6])
         place = [-away * np.cos(view), -away * np.sin(view), 0.3]
-        things.append(Thing(mesh=_placed(panel, place, view), colour=_picked(WALLS, rng)))
+        things.append(Thing(mesh=placed(panel, place, view), colour=picked(WALLS, rng)))
     free = [a for a in np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False) if _apart(a, person) > 0.9]
     free = [a for a in free if _apart(a, view) > 0.7]
+    if occluder is not None:
+        x, y = occluder.mesh.vertices[:, :2].mean(axis=0)
+        free = [a for a in free if _apart(a, float(np.arctan2(y, x))) > 1.0]
+        things.append(occluder)
     for angle in rng.permutation(free)[:clutter]:
         things.append(_clutter(float(angle), rng))
     return things
@@ -115,8 +128,7 @@ def choose_camera(
     Returns:
         X_WC (4, 4).
     """
-    k = intrinsics
-    small = Intrinsics(k.fx / 4, k.fy / 4, k.cx / 4, k.cy / 4, k.width // 4, k.height // 4)
+    small = smaller(intrinsics)
     best, best_score = np.eye(4), -1.0
     for _ in range(_CAMERAS):
         azimuth = person + rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(45.0, 180.0))
@@ -127,7 +139,7 @@ def choose_camera(
         score = np.inf
         for time, vertices_W in enumerate(moments):
             drawn = list(zip(vertices_W, (m.faces for m in meshes), strict=True))
-            seen = _drawn(drawn, X_WC, small)
+            _, seen = drawn_labels(drawn, X_WC, small)
             score = min(score, visible_share(seen == 0, alone_mask(*drawn[0], X_WC, small)))
             if time == 0:
                 score = min(score, 3.0 * visible_share(seen == 1, alone_mask(*drawn[1], X_WC, small)))
@@ -136,6 +148,11 @@ def choose_camera(
         if best_score >= least_share:
             break
     return best
+
+
+def smaller(k: Intrinsics) -> Intrinsics:
+    """A camera with a quarter of the pixels each way, to try views with."""
+    return Intrinsics(k.fx / 4, k.fy / 4, k.cx / 4, k.cy / 4, k.width // 4, k.height // 4)
 
 
 def visible_share(seen: np.ndarray, alone: np.ndarray) -> float:
@@ -159,21 +176,36 @@ def alone_mask(vertices_W: np.ndarray, faces: np.ndarray, X_WC: np.ndarray, k: I
     high = np.ceil(np.clip(np.nanmax(uv, axis=0), -_ALONE_PAD * reach, (1 + _ALONE_PAD) * reach)).astype(int)
     width, height = np.maximum(high - low + 1, 1)
     window = Intrinsics(k.fx, k.fy, k.cx - low[0], k.cy - low[1], int(width), int(height))
-    return _drawn([(vertices_W, faces)], X_WC, window) == 0
+    return drawn_labels([(vertices_W, faces)], X_WC, window)[1] == 0
 
 
-def _drawn(meshes: Sequence[tuple[np.ndarray, np.ndarray]], X_WC: np.ndarray, k: Intrinsics) -> np.ndarray:
-    """(h, w) int8 which mesh is seen, -1 for none."""
-    depth = np.full((k.height, k.width), np.inf, np.float32)
-    labels = np.full((k.height, k.width), -1, np.int8)
+def drawn_labels(
+    meshes: Sequence[tuple[np.ndarray, np.ndarray]],
+    X_WC: np.ndarray,
+    k: Intrinsics,
+    *,
+    over: tuple[np.ndarray, np.ndarray] | None = None,
+    first: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw meshes, each of vertices (V, 3) in W and faces (F, 3).
+
+    Args:
+        over: an earlier result; what these meshes hide of it is drawn over, in a copy.
+        first: label of the first mesh; the others follow.
+    Returns:
+        (h, w) float32 depth, metres, inf where there is nothing, and (h, w) int8 which mesh is seen, -1 for none.
+    """
+    if over is None:
+        over = (np.full((k.height, k.width), np.inf, np.float32), np.full((k.height, k.width), -1, np.int8))
+    depth, labels = over[0].copy(), over[1].copy()
     X_CW = np.linalg.inv(X_WC)
-    for i, (vertices_W, faces) in enumerate(meshes):
+    for i, (vertices_W, faces) in enumerate(meshes, start=first):
         points_C = np.ascontiguousarray(vertices_W @ X_CW[:3, :3].T + X_CW[:3, 3])
         raster_labels(
             points_C, np.asarray(faces, np.int64), np.full(len(faces), i, np.int8),
             float(k.fx), float(k.fy), float(k.cx), float(k.cy), NEAR_M, depth, labels,
         )  # fmt: skip
-    return labels
+    return depth, labels
 
 
 def _clutter(angle: float, rng: np.random.Generator) -> Thing:
@@ -184,17 +216,19 @@ def _clutter(angle: float, rng: np.random.Generator) -> Thing:
     else:
         mesh = cylinder_mesh(rng.uniform(0.02, 0.045), height / 2)
     place = [radius * np.cos(angle), radius * np.sin(angle), height / 2]
-    return Thing(mesh=_placed(mesh, place, rng.uniform(0.0, np.pi)), colour=_picked(OBJECTS, rng))
+    return Thing(mesh=placed(mesh, place, rng.uniform(0.0, np.pi)), colour=picked(OBJECTS, rng))
 
 
-def _placed(mesh: Mesh, place: Sequence[float], turn: float) -> Mesh:
+def placed(mesh: Mesh, place: Sequence[float], turn: float) -> Mesh:
+    """A mesh turned about z by `turn`, rad, and then put at `place`."""
     X = np.eye(4)
     X[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
     X[:3, 3] = place
     return mesh.transformed(X)
 
 
-def _picked(colours: Sequence[tuple[int, int, int]], rng: np.random.Generator) -> tuple[int, int, int]:
+def picked(colours: Sequence[tuple[int, int, int]], rng: np.random.Generator) -> tuple[int, int, int]:
+    """One of some colours."""
     return colours[int(rng.integers(len(colours)))]
 
 
@@ -213,4 +247,4 @@ class Looks:
 
     @staticmethod
     def drawn(rng: np.random.Generator) -> Looks:
-        return Looks(skin=_picked(SKINS, rng), sleeve=_picked(SLEEVES, rng), obj=_picked(OBJECTS, rng))
+        return Looks(skin=picked(SKINS, rng), sleeve=picked(SLEEVES, rng), obj=picked(OBJECTS, rng))
