@@ -89,6 +89,57 @@ def test_workers_ignore_an_interrupt_that_the_parent_decides_about():
     assert set(seen.values()) == {signal.SIG_IGN}
 
 
+def test_an_interrupt_while_workers_start_is_the_parents_too():
+    script = (
+        "import math, os, signal\n"
+        "from concurrent.futures import ProcessPoolExecutor\n"
+        "from neuralgrasps.parallel import run_tasks\n"
+        "submit = ProcessPoolExecutor.submit\n"
+        "def interrupted(*args):\n"
+        "    future = submit(*args)\n"
+        "    os.killpg(0, signal.SIGINT)\n"  # the worker is not yet through its first lines
+        "    return future\n"
+        "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, lambda *_: print('heard'))\n"
+        "    ProcessPoolExecutor.submit = interrupted\n"
+        "    print(sorted(run_tasks(math.sqrt, [(4.0,), (9.0,)], workers=2)))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, start_new_session=True
+    )
+    assert done.stderr == ""
+    assert done.stdout.splitlines()[0] == "heard"
+    assert done.stdout.splitlines()[-1] == "[(0, 2.0), (1, 3.0)]"
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_interrupt_while_workers_start_ends_them_all(workers):
+    script = (
+        "import os, signal, time\n"
+        "from multiprocessing import Process, active_children\n"
+        "from neuralgrasps.parallel import beside, run_tasks\n"
+        "start = Process.start\n"
+        "def interrupted(self):\n"
+        "    start(self)\n"
+        "    signal.raise_signal(signal.SIGINT)\n"  # the pool does not know of the worker yet
+        "if __name__ == '__main__':\n"
+        "    from multiprocessing.context import SpawnProcess\n"
+        "    SpawnProcess.start = interrupted\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "    try:\n"
+        f"        if {workers} == 1:\n"
+        "            with beside(time.sleep, 600.0, workers=2):\n"
+        "                print('begun')\n"
+        "        list(run_tasks(time.sleep, [(600.0,), (600.0,)], workers=2))\n"
+        "    except KeyboardInterrupt:\n"
+        "        print(active_children())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, start_new_session=True, timeout=120
+    )
+    assert (done.stdout, done.stderr) == ("[]\n", "")
+
+
 def test_workers_end_with_a_killed_parent():
     script = (
         "import time\nfrom neuralgrasps.parallel import run_tasks\n"
@@ -102,7 +153,7 @@ def test_workers_end_with_a_killed_parent():
     assert len(children) >= 2  # two workers, and what multiprocessing tracks its resources with
     parent.kill()
     parent.wait()
-    _, alive = psutil.wait_procs(children, timeout=20)
+    _, alive = psutil.wait_procs(children, timeout=60)
     parent.stdout.close()
     for process in alive:
         process.kill()

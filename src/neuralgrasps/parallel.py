@@ -34,6 +34,7 @@ def available_cpus() -> int:
 def _start_worker() -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides what happens then.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _hold_interrupts(signal.SIG_UNBLOCK)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -45,19 +46,48 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
+def _hold_interrupts(how: int) -> None:
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(how, [signal.SIGINT])
+
+
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """What is started inside inherits an environment that asks numerical libraries for one thread."""
+def _starting() -> Iterator[None]:
+    """What is started inside inherits an environment that asks numerical libraries for one thread.
+
+    It also inherits that Ctrl-C is held back, until `_start_worker` ignores it: else one that comes while a worker is
+    starting ends it with a traceback. Here it is heard at the end, when all workers are known and can be ended.
+    """
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
+    _hold_interrupts(signal.SIG_BLOCK)
     try:
-        yield
+        with _heard_later(signal.SIGINT), _heard_later(signal.SIGTERM):
+            yield
     finally:
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+        _hold_interrupts(signal.SIG_UNBLOCK)  # from here on an exception may come
+
+
+@contextmanager
+def _heard_later(number: int) -> Iterator[None]:
+    """A signal that this process handles is handled at the end; in its main thread, where signals are handled."""
+    handler = signal.getsignal(number)
+    if handler in (None, signal.SIG_IGN) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heard: list[int] = []
+    signal.signal(number, lambda number, _: heard.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(number, handler)
+        if heard:
+            signal.raise_signal(number)
 
 
 def thread_map(function: Callable[[Any], Any], items: Sequence[Any], *, threads: int) -> list[Any]:
@@ -90,11 +120,10 @@ def beside(function: Callable[..., Any], *arguments: Any, workers: int | None = 
     if workers == 1:
         yield lambda: function(*arguments)
         return
-    pool = _pool(1)
-    with _one_thread_each():
-        future = pool.submit(function, *arguments)
+    pool, future = _pool(1), None
 
     def result() -> Any:
+        assert future is not None
         try:
             return future.result()
         except BrokenProcessPool as error:
@@ -103,9 +132,11 @@ def beside(function: Callable[..., Any], *arguments: Any, workers: int | None = 
             pool.shutdown(wait=True)
 
     try:
+        with _starting():
+            future = pool.submit(function, *arguments)
         yield result
     finally:
-        _end(pool, at_once=not future.done())
+        _end(pool, at_once=future is None or not future.done())
 
 
 def blocks(count: int, parts: int) -> list[slice]:
@@ -136,18 +167,20 @@ def run_tasks(
         return
     pool = _pool(min(workers, len(tasks)))
     waiting: dict[Any, int] = {}
+    finished = False
     try:
-        with _one_thread_each():
+        with _starting():
             for index, task in enumerate(tasks):
                 waiting[pool.submit(function, *task)] = index
         while waiting:
             done, _ = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
                 yield waiting.pop(future), future.result()
+        finished = True
     except BrokenProcessPool as error:
         raise _died() from error
     finally:
-        _end(pool, at_once=bool(waiting))
+        _end(pool, at_once=not finished)
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
