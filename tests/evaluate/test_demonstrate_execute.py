@@ -12,7 +12,7 @@ from neuralgrasps.arms.zoo import load_arm
 from neuralgrasps.errors import InputError
 from neuralgrasps.evaluate.demonstrate_bench import DemonstrateBench, DemonstrateBenchConfig
 from neuralgrasps.evaluate.demonstrate_execute import demonstrated_scene, execute_demonstration
-from neuralgrasps.evaluate.demonstrate_figures import demonstrate_figures, demonstrate_tables
+from neuralgrasps.evaluate.demonstrate_figures import FIGURES, demonstrate_figures, demonstrate_tables, figure_names
 from neuralgrasps.evaluate.demonstrate_trials import FrameErrors, VideoRecord
 from neuralgrasps.evaluate.hand_surface import posed_surface, surface_rms
 from neuralgrasps.geometry.camera import Intrinsics, look_at
@@ -142,6 +142,34 @@ def test_figures_are_means_of_what_was_seen():
     assert figures["fit_rms_mm"] == 1.5
 
 
+def test_badly_seen_videos_have_figures_of_their_own_by_what_is_seen():
+    bad = [video(visible=0.5, lifted=False), video(visible=0.7), video(visible=0.95)]
+    figures = demonstrate_figures(DemonstrateBench(videos=[video()], hidden=bad, fit={"fit_rms_mm": 1.5}))
+    assert figures["demonstrate_success"] == 1.0 and figures["hidden_demonstrate_success"] == pytest.approx(2 / 3)
+    assert figures["hidden_demonstrate_success_40_60"] == 0.0 and figures["hidden_demonstrate_success_60_80"] == 1.0
+    assert figures["hidden_joints_root_relative_mm"] == pytest.approx(15.0)
+    assert figures["hidden_joints_root_relative_mm_40_60"] == pytest.approx(20.0)  # of the frames that show so much
+    assert figures["hidden_fitted_surface_mm_40_60"] == pytest.approx(4.0)
+    assert "hidden_fitted_surface_mm_60_80" not in figures and figures["hidden_joints_found_60_80"] == 0.0
+    assert figures["hidden_fitted_root_relative_mm"] == pytest.approx(6.0) and "hidden_fit_rms_mm" not in figures
+    names = figure_names(hidden=True)
+    assert set(FIGURES) < set(names) and set(figures) - set(names) == {
+        "joints_root_relative_median_mm", "fitted_surface_median_mm", "hidden_joints_root_relative_median_mm",
+        "hidden_fitted_surface_median_mm",
+    }  # fmt: skip
+    assert not any(name.startswith("hidden") for name in figure_names(hidden=False))
+
+
+def test_badly_seen_videos_have_tables_of_their_own():
+    bench = DemonstrateBench(videos=[video()], hidden=[video(visible=0.5, lifted=False, grasp_root=0.007)])
+    tables = demonstrate_tables(bench)
+    assert tables["objects"][0]["lifted"] == 1.0 and tables["hidden_objects"][0]["lifted"] == 0.0
+    rows = tables["hidden_visible"]
+    assert [row["videos"] for row in rows] == [1, 0, 0] and rows[0]["lifted"] == 0.0
+    assert rows[0]["grasp_root_mm"] == pytest.approx(7.0) and rows[0]["fit_root_mm"] == pytest.approx(8.0)
+    assert "hidden_objects" not in demonstrate_tables(DemonstrateBench(videos=[video()]))
+
+
 def test_tables_count_failures_and_part_frames_by_what_is_seen():
     bench = DemonstrateBench(videos=[video(), video(object="can", lifted=False, stage="execute", reason="it slipped.")])
     tables = demonstrate_tables(bench)
@@ -155,3 +183,5 @@ def test_tables_count_failures_and_part_frames_by_what_is_seen():
 def test_amounts_are_checked():
     with pytest.raises(InputError, match="at least 1"):
         DemonstrateBenchConfig(videos=0)
+    with pytest.raises(InputError, match="none badly seen"):
+        DemonstrateBenchConfig(hidden=-1)

@@ -21,22 +21,29 @@ class DemonstrateBenchConfig:
     """How much is measured.
 
     Attributes:
-        videos: demonstrations per object. fits: frames of the fit to noisy joints and a known mask, over all objects.
+        videos: demonstrations per object. hidden: badly seen ones per object.
+        fits: frames of the fit to noisy joints and a known mask, over all objects.
         hand, arm: what repeats the grasps. seed: root of every random number.
     """
 
     videos: int = 10
+    hidden: int = 10
     fits: int = 70
     hand: str = "fetch"
     arm: str = "fetch"
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.videos < 1 or self.fits < 1:
-            raise InputError(f"{self.videos} videos per object and {self.fits} fits; expected at least 1 of each.")
+        if self.videos < 1 or self.fits < 1 or self.hidden < 0:
+            raise InputError(
+                f"{self.videos} videos per object, {self.hidden} badly seen ones, and {self.fits} fits; expected at "
+                "least 1 of each, or none badly seen."
+            )
 
 
-QUICK = DemonstrateBenchConfig(videos=2, fits=21)
+HIDDEN_SHARE = (0.4, 0.8)
+"""Of the hand that is seen at the grasp of a badly seen demonstration."""
+QUICK = DemonstrateBenchConfig(videos=2, hidden=2, fits=21)
 """The amounts of `--quick`."""
 
 
@@ -45,10 +52,12 @@ class DemonstrateBench:
     """All demonstrations, in an order that does not depend on the number of workers.
 
     Attributes:
+        videos: the usual ones. hidden: those in which the hand is badly seen (`HIDDEN_SHARE`).
         fit: figures of the fit to noisy joints. workers: processes. wall_s: of all of it.
     """
 
     videos: list[VideoRecord] = field(default_factory=list)
+    hidden: list[VideoRecord] = field(default_factory=list)
     fit: dict[str, float] = field(default_factory=dict)
     workers: int = 1
     wall_s: float = 0.0
@@ -70,11 +79,14 @@ def bench_demonstrate(
     bench = DemonstrateBench(workers=workers or available_cpus())
     targets = range(len(open_library(library)))
     tasks: list[tuple[Any, ...]] = [("fit", library, config)]
-    tasks += [
-        ("video", VideoTask(library=library, target=t, index=i, hand=config.hand, arm=config.arm, seed=config.seed))
-        for i in range(config.videos)
-        for t in targets
-    ]
+    for count, share in ((config.videos, None), (config.hidden, HIDDEN_SHARE)):
+        tasks += [
+            ("video", VideoTask(
+                library=library, target=t, index=i, hand=config.hand, arm=config.arm, seed=config.seed, share=share
+            ))
+            for i in range(count)
+            for t in targets
+        ]  # fmt: skip
     results: list[Any] = [None] * len(tasks)
     begun = time.perf_counter()
     for done, (index, found) in enumerate(run_tasks(_work, tasks, workers=workers), start=1):
@@ -82,7 +94,8 @@ def bench_demonstrate(
         if progress is not None:
             progress(done, len(tasks), tasks[index][0])
     bench.wall_s = time.perf_counter() - begun
-    bench.fit, bench.videos = results[0], results[1:]
+    usual = 1 + config.videos * len(targets)
+    bench.fit, bench.videos, bench.hidden = results[0], results[1:usual], results[usual:]
     return bench
 
 

@@ -19,15 +19,39 @@ FIGURES = (
     "moment_right", "object_pose_right", "contact_similarity", "contact_map_difference",
     "demonstrate_similarity_minus_oracle", "demonstrate_success", "demonstrate_success_retry",
 )  # fmt: skip
+HIDDEN = "hidden_"
+"""Before the names of the figures of badly seen demonstrations."""
+_FITS = ("fit_rms_mm",)  # of no video
 _VISIBLE = (0.4, 0.6, 0.8, 1.01)
+_SHARES = {"40_60": (0.4, 0.6), "60_80": (0.6, 0.8)}  # of the hand, by which the figures of badly seen ones are parted
+_BY_SHARE = (
+    "joints_root_relative_mm", "joints_procrustes_mm", "joints_found", "fitted_root_relative_mm", "fitted_surface_mm",
+)  # fmt: skip
+
+
+def figure_names(*, hidden: bool) -> tuple[str, ...]:
+    """Names of the headline numbers, perhaps those of badly seen demonstrations too."""
+    badly = [HIDDEN + name for name in FIGURES if name not in _FITS]
+    badly += [f"{HIDDEN}{name}_{part}" for part in _SHARES for name in (*_BY_SHARE, "demonstrate_success")]
+    return (*FIGURES, *badly) if hidden else FIGURES
 
 
 def demonstrate_figures(bench: DemonstrateBench) -> dict[str, float]:
     """The headline numbers; what could not be measured is left out."""
-    frames = [f for video in bench.videos for f in video.frames]
-    seen, videos = [f for f in frames if f.found], bench.videos
-    grasped = [v for v in videos if np.isfinite(v.grasp_root)]
-    out = {
+    out = {**_figures(bench.videos), **bench.fit}
+    out |= {HIDDEN + name: value for name, value in _figures(bench.hidden).items()}
+    frames = [f for video in bench.hidden for f in video.frames]
+    for part, (low, high) in _SHARES.items():
+        parted = _frame_figures([f for f in frames if low < f.visible <= high])
+        out |= {f"{HIDDEN}{name}_{part}": parted[name] for name in _BY_SHARE}
+        out[f"{HIDDEN}demonstrate_success_{part}"] = _share(v.lifted for v in bench.hidden if low < v.visible <= high)
+    return {name: value for name, value in out.items() if np.isfinite(value)}
+
+
+def _frame_figures(frames: Sequence[FrameErrors]) -> dict[str, float]:
+    """Of frames, each on its own."""
+    seen = [f for f in frames if f.found]
+    return {
         "joints_root_relative_mm": _mm(f.net_root for f in seen),
         "joints_procrustes_mm": _mm(f.net_procrustes for f in seen),
         "joints_root_relative_median_mm": _mm((f.net_root for f in seen), np.median),
@@ -36,6 +60,14 @@ def demonstrate_figures(bench: DemonstrateBench) -> dict[str, float]:
         "fitted_surface_mm": _mm(f.fit_surface for f in seen),
         "fitted_surface_median_mm": _mm((f.fit_surface for f in seen), np.median),
         "fps": 1.0 / float(np.mean([f.seconds for f in seen])) if seen else float("nan"),
+    }
+
+
+def _figures(videos: Sequence[VideoRecord]) -> dict[str, float]:
+    """Of videos, nan where nothing was measured."""
+    grasped = [v for v in videos if np.isfinite(v.grasp_root)]
+    return {
+        **_frame_figures([f for video in videos for f in video.frames]),
         "grasp_root_relative_mm": _mm(v.grasp_root for v in grasped),
         "grasp_surface_mm": _mm(v.grasp_surface for v in grasped),
         "grasps_found": _share(np.isfinite(v.grasp_root) for v in videos),
@@ -48,27 +80,27 @@ def demonstrate_figures(bench: DemonstrateBench) -> dict[str, float]:
         "demonstrate_similarity_minus_oracle": _mean(v.similarity - v.oracle for v in videos),
         "demonstrate_success": _share(v.lifted for v in videos),
         "demonstrate_success_retry": _share(v.lifted_retry for v in videos),
-        **bench.fit,
     }
-    return {name: value for name, value in out.items() if np.isfinite(value)}
 
 
 def demonstrate_tables(bench: DemonstrateBench) -> dict[str, list[dict[str, Any]]]:
-    """By object, by visible share of the hand, by stage of failure, and seconds by stage."""
-    names = list(dict.fromkeys(v.object for v in bench.videos))
-    objects = [_object_row(name, [v for v in bench.videos if v.object == name]) for name in names]
+    """By object, by visible share of the hand, by stage of failure, and seconds by stage; of badly seen ones too."""
+    badly = _tables(bench.hidden) if bench.hidden else {}
+    return {**_tables(bench.videos), **{HIDDEN + name: rows for name, rows in badly.items()}}
+
+
+def _tables(videos: Sequence[VideoRecord]) -> dict[str, list[dict[str, Any]]]:
+    names = list(dict.fromkeys(v.object for v in videos))
+    objects = [_object_row(name, [v for v in videos if v.object == name]) for name in names]
     if len(names) > 1:
-        objects.append(_object_row("all", bench.videos))
-    frames = [f for v in bench.videos for f in v.frames]
-    visible = [
-        _visible_row(low, high, [f for f in frames if low < f.visible <= high]) for low, high in pairwise(_VISIBLE)
-    ]
-    ends = Counter((v.stage or "none", v.reason if v.stage else "") for v in bench.videos)
+        objects.append(_object_row("all", videos))
+    visible = [_visible_row(low, high, videos) for low, high in pairwise(_VISIBLE)]
+    ends = Counter((v.stage or "none", v.reason if v.stage else "") for v in videos)
     stages = [
         {"stage": stage, "reason": reason, "count": count} for (stage, reason), count in sorted(ends.items(), key=str)
     ]
-    kinds = list(dict.fromkeys(k for v in bench.videos for k in v.seconds))
-    seconds = [{"stage": k, "median_s": _median(v.seconds.get(k) for v in bench.videos)} for k in kinds]
+    kinds = list(dict.fromkeys(k for v in videos for k in v.seconds))
+    seconds = [{"stage": k, "median_s": _median(v.seconds.get(k) for v in videos)} for k in kinds]
     return {"objects": objects, "visible": visible, "stages": stages, "seconds": seconds}
 
 
@@ -96,8 +128,10 @@ def _object_row(name: str, videos: Sequence[VideoRecord]) -> dict[str, Any]:
     }
 
 
-def _visible_row(low: float, high: float, frames: Sequence[FrameErrors]) -> dict[str, Any]:
-    seen = [f for f in frames if f.found]
+def _visible_row(low: float, high: float, videos: Sequence[VideoRecord]) -> dict[str, Any]:
+    """Frames by what each shows, and videos by what the grasp's frame shows."""
+    frames = [f for v in videos for f in v.frames if low < f.visible <= high]
+    seen, grasped = [f for f in frames if f.found], [v for v in videos if low < v.visible <= high]
     return {
         "visible": f"{low:.1f}-{min(high, 1.0):.1f}",
         "frames": len(frames),
@@ -106,6 +140,10 @@ def _visible_row(low: float, high: float, frames: Sequence[FrameErrors]) -> dict
         "net_procrustes_mm": _mm(f.net_procrustes for f in seen),
         "fit_root_mm": _mm(f.fit_root for f in seen),
         "fit_surface_mm": _mm(f.fit_surface for f in seen),
+        "videos": len(grasped),
+        "grasp_root_mm": _mm(v.grasp_root for v in grasped),
+        "grasp_surface_mm": _mm(v.grasp_surface for v in grasped),
+        "lifted": _share(v.lifted for v in grasped),
     }
 
 

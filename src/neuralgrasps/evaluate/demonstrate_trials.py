@@ -28,7 +28,7 @@ from neuralgrasps.hands.variants import scaled_hand
 from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.human.nets.joint_errors import procrustes_error, root_relative_error
 from neuralgrasps.human.skeleton import human_hand
-from neuralgrasps.human.synthetic.demonstration import DemonstrationTruth, record_demonstration
+from neuralgrasps.human.synthetic.demonstration import DemonstrationConfig, DemonstrationTruth, record_demonstration
 from neuralgrasps.human.video.hand_video import HandVideo
 from neuralgrasps.human.video.sighting import HandFinder, JointSource
 from neuralgrasps.objects.object_model import ObjectModel
@@ -66,7 +66,7 @@ class VideoRecord:
     """What came of one demonstration; lengths in metres, times in seconds.
 
     Attributes:
-        object, index, side, scale, kind: what was recorded.
+        object, index, side, scale, kind: what was recorded. visible: share of the hand that is seen at the grasp.
         stage: where it failed: of `Demonstration`, "plan", "execute", or ""; reason: why.
         side_right, scale_found: of the hand. moment_off: frames between the moment chosen and the still phase.
         object_add_s, object_mssd: errors of the object's pose at the moment.
@@ -88,6 +88,7 @@ class VideoRecord:
     length: int
     stage: str
     reason: str
+    visible: float = float("nan")
     side_right: bool = False
     scale_found: float = float("nan")
     moment_off: int = -1
@@ -112,7 +113,11 @@ class VideoRecord:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VideoTask:
-    """Demonstration number `index` of the object number `target` of a library; `hand` on `arm` repeats it."""
+    """Demonstration number `index` of the object number `target` of a library; `hand` on `arm` repeats it.
+
+    Attributes:
+        share: of the hand that is seen at the grasp, see `DemonstrationConfig`; None: most of it.
+    """
 
     library: Library
     target: int
@@ -120,13 +125,17 @@ class VideoTask:
     hand: str
     arm: str
     seed: int
+    share: tuple[float, float] | None = None
 
 
 def measure_video(task: VideoTask) -> VideoRecord:
     """Record a demonstration, watch it, transfer it and carry it out."""
     obj = open_library(task.library)[task.target]
     begun = time.perf_counter()
-    recorded = record_demonstration(obj, seed=child_seed(task.seed, "demonstration bench", obj.name, task.index))
+    kind = "demonstration bench" if task.share is None else "hidden demonstration bench"
+    recorded = record_demonstration(
+        obj, seed=child_seed(task.seed, kind, obj.name, task.index), config=DemonstrationConfig(share=task.share)
+    )
     truth, frames = recorded.truth, [replace(frame, X_WC=None) for frame in recorded.frames]
     seconds = {"record": time.perf_counter() - begun}
     robot, known = _robot(task.hand, task.arm), _known(task.library, task.hand, obj.name)
@@ -137,7 +146,7 @@ def measure_video(task: VideoTask) -> VideoRecord:
     seconds |= found.seconds
     record = VideoRecord(
         object=obj.name, index=task.index, side=truth.side, scale=truth.scale, kind=truth.kind, length=len(frames),
-        stage=found.stage, reason=found.reason, seconds=seconds,
+        stage=found.stage, reason=found.reason, visible=float(truth.visible[truth.grasp_frame]), seconds=seconds,
     )  # fmt: skip
     record = replace(record, **_seen_errors(found, obj, truth), **_transfer_errors(found, obj, truth))
     record = replace(record, frames=_frame_errors(frames, found, obj, truth))
