@@ -12,7 +12,8 @@ from neuralgrasps.evaluate.hand_fit_frames import HandFrame, hand_frames
 from neuralgrasps.evaluate.hand_surface import posed_surface, surface_rms
 from neuralgrasps.geometry.camera import project
 from neuralgrasps.human.fit.hand_cloud import hand_cloud
-from neuralgrasps.human.fit.hand_fit import fit_hand, fit_size
+from neuralgrasps.human.fit.hand_fit import fit_hand
+from neuralgrasps.human.fit.hand_size import fit_size
 from neuralgrasps.human.nets.joint_errors import root_relative_error
 from neuralgrasps.human.seen import FittedHand, SeenJoints, Side
 from neuralgrasps.objects.object_model import ObjectModel

@@ -11,8 +11,11 @@ from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.hands.packed import hand_distance_many, pack_shapes
 from neuralgrasps.hands.surface import hand_mesh
 from neuralgrasps.hands.variants import scaled_hand
-from neuralgrasps.human.fit.hand_fit import HandFitConfig, fit_hand, fit_size, hand_problem
+from neuralgrasps.human.fit.fit_config import HandFitConfig
+from neuralgrasps.human.fit.hand_fit import fit_hand
+from neuralgrasps.human.fit.hand_size import fit_size
 from neuralgrasps.human.fit.kernels import hand_cost
+from neuralgrasps.human.fit.problem import hand_problem
 from neuralgrasps.human.fit.view import nearest_allowed
 from neuralgrasps.human.postures import usual_postures
 from neuralgrasps.human.seen import FittedHand, SeenJoints, Side

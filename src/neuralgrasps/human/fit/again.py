@@ -8,15 +8,29 @@ import numpy as np
 
 from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.hands.packed import PackedHand
-from neuralgrasps.human.fit.problem import HandProblem
-from neuralgrasps.human.fit.steps import curvature
+from neuralgrasps.human.fit.problem import HandProblem, fewer_points, joints_only
+from neuralgrasps.human.fit.right_hand import right_hand
+from neuralgrasps.human.fit.steps import curvature, lower_costs
 from neuralgrasps.seeds import child_rng
 
 COUNT = 16
 _SPREAD = 1.5  # times the deviations that the joints leave
+_FAR_WIDTH_M = 0.03
 
 
 def other_starts(
+    problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The two most promising of `COUNT` starts round a fit to the joints: X_CH (2, 4, 4), q (2, 20), sizes (2,)."""
+    X, postures = _drawn_starts(right_hand().packed, problem, X_CH, q, scale)
+    sizes, cost = np.full(len(X), scale), np.empty(len(X))
+    coarse = fewer_points(problem, 4)._replace(cloud_width=_FAR_WIDTH_M)
+    lower_costs(right_hand().packed, coarse, X, postures, sizes, 3, 1e-2, cost)
+    best = np.argsort(cost, kind="stable")[:2]
+    return np.ascontiguousarray(X[best]), np.ascontiguousarray(postures[best]), sizes[best]
+
+
+def _drawn_starts(
     packed: PackedHand, problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """`COUNT` starts X_CH (16, 4, 4), q (16, J), drawn round the fit to the joints alone; the same at every call.
@@ -28,8 +42,7 @@ def other_starts(
         packed: the hand of size 1; problem: what is fitted to; its cloud is not looked at.
         X_CH: (4, 4), q: (J,), scale: the fit to the joints alone.
     """
-    joints = problem._replace(cloud_C=np.zeros((0, 3)), free_weight=0.0, deep_weight=0.0)
-    A, _ = curvature(packed, joints, X_CH, q, scale)
+    A, _ = curvature(packed, joints_only(problem), X_CH, q, scale)
     A = A[:-1, :-1]  # the size stays
     A[np.diag_indices_from(A)] += np.where(A.diagonal() > 0.0, 1e-6, 1e6)  # joints at their limits stay
     factor = np.linalg.cholesky(A)

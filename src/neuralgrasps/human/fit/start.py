@@ -7,10 +7,38 @@ from typing import NamedTuple
 
 import numpy as np
 
+from neuralgrasps.errors import InputError
+from neuralgrasps.human.fit.fit_config import HandFitConfig
+from neuralgrasps.human.fit.problem import HandProblem, joints_only
+from neuralgrasps.human.fit.right_hand import right_hand, righted
+from neuralgrasps.human.fit.steps import lower_costs
 from neuralgrasps.human.postures import usual_postures
+from neuralgrasps.human.seen import FittedHand
 from neuralgrasps.human.skeleton import human_hand, joint_points
 
 _PALM = (0, 1, 5, 9, 13, 17)  # joints that hardly move in the hand's base
+
+
+def first_starts(
+    problem: HandProblem, start: FittedHand | None, scale: float | None, config: HandFitConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts X_CH (N, 4, 4), q (N, 20), sizes (N,), best first: from the joints alone, and the one that is given."""
+    packed, size = right_hand().packed, scale if scale is not None else config.scale_mean
+    X, q, sizes = np.zeros((0, 4, 4)), np.zeros((0, 20)), np.zeros(0)
+    if np.count_nonzero(problem.joint_weight) >= 4:
+        X, q = hand_starts(problem.joints_C, problem.joint_weight, size)
+        sizes = np.full(len(q), size)
+        cost = np.empty(len(q))
+        lower_costs(packed, joints_only(problem), X, q, sizes, 15, 1e-3, cost)
+        order = np.argsort(cost, kind="stable")[: config.starts]
+        X, q, sizes = X[order], q[order], sizes[order]
+    if start is not None:
+        X = np.concatenate([X, righted(start.X_CH, start.side)[None]])
+        q = np.concatenate([q, np.asarray(start.q, np.float64)[None]])
+        sizes = np.append(sizes, scale if scale is not None else start.scale)
+    if not len(q):
+        raise InputError("fewer than 4 of the 21 joints are known, and there is no start; expected 4 joints or more.")
+    return np.ascontiguousarray(X), np.ascontiguousarray(q), sizes
 
 
 def hand_starts(joints_C: np.ndarray, weight: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray]:

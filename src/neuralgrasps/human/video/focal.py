@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neuralgrasps.errors import InputError
-from neuralgrasps.human.fit.hand_fit import fit_hand, fit_size
+from neuralgrasps.human.fit.hand_fit import fit_hand
 from neuralgrasps.human.fit.hand_misfit import misfit
+from neuralgrasps.human.fit.hand_size import fit_size
 from neuralgrasps.human.seen import SeenJoints, Side
 from neuralgrasps.human.skeleton import LARGEST, SMALLEST
 from neuralgrasps.objects.object_model import ObjectModel

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from neuralgrasps.human.fit.hand_fit import fit_hand, fit_size
+from neuralgrasps.human.fit.hand_fit import fit_hand
 from neuralgrasps.human.fit.hand_misfit import misfit
+from neuralgrasps.human.fit.hand_size import fit_size
 from neuralgrasps.human.seen import Side
 from neuralgrasps.human.video.focal import (
     FocalCheck,
