@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from neuralgrasps.apply.transfer_descent import _evaluate, descend, map_problem
+from neuralgrasps.apply.transfer_descent import descend, evaluate_descent, map_problem, new_descent
 from neuralgrasps.apply.transfer_kernels import FAR, map_differences, search_starts
 from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import query_from_grasp
 from neuralgrasps.apply.transfer_search import SearchConfig, rank_known, search
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
-from neuralgrasps.hands.least_squares import moved_pose, new_work
+from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.seeds import child_rng
 from neuralgrasps.synthesis.candidates import VALID
 from tests.apply.conftest import BoxWorld
@@ -43,13 +43,13 @@ def test_differences_of_maps_are_those_of_the_maps(box_world: BoxWorld, asked) -
 
 def test_the_descent_knows_its_gradient(box_world: BoxWorld, asked) -> None:
     pair, _, _, sparse = asked
-    problem = map_problem(box_world.hand, box_world.obj, pair.probes, sparse)
+    problem = map_problem(box_world.hand, box_world.obj, sparse)
     X, q = moved(box_world.grasps.X_OH[0], 0.006, 0.1, seed=3), box_world.grasps.q[0] + 0.001
     size = 6 + len(q)
 
     def cost(X_OH: np.ndarray, joints: np.ndarray) -> tuple[float, np.ndarray]:
-        b, work = np.empty(size), new_work(pair.probes, len(sparse.points))
-        total = _evaluate(pair.probes, problem, X_OH, joints, box_world.grasps.q[0], work, np.empty((size, size)), b)
+        b, work, start = np.empty(size), new_descent(pair.probes, problem), box_world.grasps.q[0]
+        total = evaluate_descent(pair.probes, problem, X_OH, joints, start, work, np.empty((size, size)), b)
         return total, 2.0 * b
 
     _, gradient = cost(X, q)
@@ -74,7 +74,7 @@ def test_the_descent_finds_back_to_the_map_it_is_asked_for(box_world: BoxWorld, 
     X = np.stack([moved(box_world.grasps.X_OH[0], 0.01, 0.2, seed) for seed in range(6)])
     q = np.repeat(box_world.grasps.q[:1], 6, axis=0)
     before = map_differences(pair.problem.packed, full, X, q)
-    problem = map_problem(box_world.hand, box_world.obj, pair.probes, sparse)
+    problem = map_problem(box_world.hand, box_world.obj, sparse)
     descend(pair.probes, problem, X, q, 15, np.empty(6))
     after = map_differences(pair.problem.packed, full, X, q)
     assert (after < before).all() and np.median(after) < 0.35 * np.median(before)

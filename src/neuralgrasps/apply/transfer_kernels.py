@@ -11,8 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from neuralgrasps.apply.transfer_nearest import Nearest, nearest_parts, new_nearest, points_in_hand
 from neuralgrasps.compiled import njit
-from neuralgrasps.hands.packed import hand_distance_many, pose_links
+from neuralgrasps.hands.packed import pose_links
+from neuralgrasps.hands.posed_parts import part_poses_H
 from neuralgrasps.synthesis.assess import (
     COLLIDES,
     FEW_CONTACTS,
@@ -51,11 +53,33 @@ class Hands(NamedTuple):
     q_open: np.ndarray
 
 
+class MapWork(NamedTuple):
+    """What comparing maps overwrites: X_HL (L, 4, 4), X_PH (Np, 3, 4), centre_H (Np, 3), and the points."""
+
+    X_HL: np.ndarray
+    X_PH: np.ndarray
+    centre_H: np.ndarray
+    nearest: Nearest
+
+
 @njit(cache=True, error_model="numpy")
-def map_difference(packed, target, X_OH, q, distance):  # type: ignore[no-untyped-def]
-    """Weighted mean |difference| of a posed hand's contact map and the target; `distance` (M,) is overwritten."""
-    hand_distance_many(packed, X_OH, q, target.points, distance)
-    total = 0.0
+def new_map(packed, target):  # type: ignore[no-untyped-def]
+    """Room to compare maps of one hand at a target's points."""
+    parts = packed.part_link.shape[0]
+    return MapWork(
+        np.empty((packed.parents.shape[0], 4, 4)), np.empty((parts, 3, 4)), np.empty((parts, 3)),
+        new_nearest(target.points.shape[0]),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def map_difference(packed, target, X_OH, q, work):  # type: ignore[no-untyped-def]
+    """Weighted mean |difference| of a posed hand's contact map and the target; `work` is a `MapWork`."""
+    pose_links(packed, q, work.X_HL)
+    part_poses_H(packed, work.X_HL, work.X_PH, work.centre_H)
+    points_in_hand(X_OH, target.points, work.nearest.points_A)
+    nearest_parts(packed, work.X_PH, work.nearest)
+    total, distance = 0.0, work.nearest.distance
     for i in range(distance.shape[0]):
         closeness = math.exp(-max(distance[i], 0.0) * target.inv_radius)
         total += target.weight[i] * abs(closeness - target.closeness[i])
@@ -65,9 +89,9 @@ def map_difference(packed, target, X_OH, q, distance):  # type: ignore[no-untype
 @njit(cache=True, error_model="numpy", nogil=True)
 def map_differences(packed, target, X_OH, q):  # type: ignore[no-untyped-def]
     """`map_difference` (N,) of hands X_OH (N, 4, 4), q (N, J)."""
-    out, distance = np.empty(q.shape[0]), np.empty(target.points.shape[0])
+    out, work = np.empty(q.shape[0]), new_map(packed, target)
     for i in range(q.shape[0]):
-        out[i] = map_difference(packed, target, X_OH[i], q[i], distance)
+        out[i] = map_difference(packed, target, X_OH[i], q[i], work)
     return out
 
 
@@ -116,7 +140,7 @@ def search_starts(pair, target, hands, limit, least_epsilon, X_OH, q, difference
     `outcome` (N,): of `assess`, or FAR.
     """
     scratch = new_scratch(pair)
-    distance, q_start, idle = np.empty(target.points.shape[0]), np.empty(q.shape[1]), np.empty(q.shape[1], np.bool_)
+    maps, q_start, idle = new_map(pair.packed, target), np.empty(q.shape[1]), np.empty(q.shape[1], np.bool_)
     points, normals, links, wrenches = scratch.found
     X_HL = scratch.X_HL
     for i in range(q.shape[0]):
@@ -130,7 +154,7 @@ def search_starts(pair, target, hands, limit, least_epsilon, X_OH, q, difference
         if count == 0:
             outcome[i] = FEW_CONTACTS
             continue
-        difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], distance)
+        difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], maps)
         if difference[i] >= limit * (1.0 if pair.is_jaw else _CURLED):
             outcome[i] = FAR
             continue
@@ -145,7 +169,7 @@ def search_starts(pair, target, hands, limit, least_epsilon, X_OH, q, difference
                 pair.threshold, pair.max_penetration, X_OH[i], q[i], X_HL, idle,
             )  # fmt: skip
             if idle.any():
-                difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], distance)
+                difference[i] = map_difference(pair.packed, target, X_OH[i], q[i], maps)
             if difference[i] >= limit:
                 outcome[i] = FAR
                 continue

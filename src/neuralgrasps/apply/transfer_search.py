@@ -159,7 +159,7 @@ def search(
         rng: the result depends on its state.
     """
     hand, probes = pair.problem.hand, pair.probes
-    problem = map_problem(hand, pair.problem.obj, probes, sparse)
+    problem = map_problem(hand, pair.problem.obj, sparse)
     X_near, q_near, cost = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q).copy(), np.empty(len(q))
     descend(probes, problem, X_near, q_near, config.steps, cost)
     X_all, q_all, own = np.concatenate([X_near, X_OH]), np.concatenate([q_near, q]), np.arange(len(q))
