@@ -29,7 +29,7 @@ from neuralgrasps.hands.least_squares import (
     new_work,
     turned_back,
 )
-from neuralgrasps.hands.packed import PackedHand, pose_links
+from neuralgrasps.hands.packed import pose_links
 from neuralgrasps.hands.posed_parts import gradient_in_H, part_poses_H
 from neuralgrasps.objects.object_model import ObjectModel
 
