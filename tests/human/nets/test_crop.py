@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from neuralgrasps.geometry.camera import Intrinsics
-from neuralgrasps.human.nets.crop import CROP, DEPTH_UNIT_M, crop_points, full_mask, middle_depth, mirrored, take_crop
+from neuralgrasps.human.nets.crop import (
+    CROP,
+    DEPTH_UNIT_M,
+    crop_points,
+    full_mask,
+    middle_depth,
+    mirrored,
+    take_crop,
+    turned,
+)
 from neuralgrasps.human.nets.joint_images import CAMERA, CropMix, make_crops
 from neuralgrasps.human.scenes.random_scene import SceneMix, draw_scene, random_scene
 from neuralgrasps.human.scenes.surroundings import HAND
@@ -109,3 +118,15 @@ def test_the_middle_depth_is_a_median_of_what_was_measured():
     assert middle_depth(seen) == pytest.approx(0.9)
     seen[40:60, 40:60] = 0.5
     assert middle_depth(seen) == pytest.approx(0.5)
+
+
+def test_a_turned_crop_is_the_crop_of_the_turned_image():
+    k = Intrinsics(400.0, 400.0, 150.0, 110.0, 320, 240)
+    depth = 0.5 + np.random.default_rng(0).uniform(0.0, 0.2, (k.height, k.width))
+    crop = take_crop(depth, k, u=140.0, v=130.0, side=80.0, depth_m=0.6)
+    around = Intrinsics(400.0, 400.0, k.width - 1 - k.cx, k.height - 1 - k.cy, k.width, k.height)
+    other = take_crop(depth[::-1, ::-1], around, u=k.width - 1 - 140.0, v=k.height - 1 - 130.0, side=80.0, depth_m=0.6)
+    assert crop is not None and other is not None
+    said = turned(crop)
+    np.testing.assert_allclose(said.conditions, other.conditions, rtol=1e-5)
+    np.testing.assert_allclose(said.inputs[:, 1:-1, 1:-1], other.inputs[:, 1:-1, 1:-1], atol=0.02)

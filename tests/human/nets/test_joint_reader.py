@@ -97,6 +97,27 @@ def test_a_batch_is_a_loop(reader):
         reader.read_batch(frames, boxes)
 
 
+def test_the_second_look_is_turned(monkeypatch):
+    """What it says is turned back: a net that tells the same of a crop and of the turned one changes nothing."""
+    frame, box, joints_C, _ = _shown(2)
+    once, reader = JointReader.load(looks=1), JointReader.load()
+    looked: list[bool] = []
+    run = reader._run
+
+    def noting(crops, lefts, *, turn):
+        looked.append(turn)
+        plain, seen = run(crops, lefts, turn=False), run(crops, lefts, turn=turn)
+        assert np.linalg.norm(plain[0] - seen[0], axis=-1).mean() < 0.012
+        assert (plain[2] == seen[2]).mean() > 0.97
+        return seen
+
+    monkeypatch.setattr(reader, "_run", noting)
+    both = reader.read(frame, replace(box, u_min=box.u_min - 20, v_max=box.v_max + 20))
+    assert looked == [False, True]
+    assert np.linalg.norm(both.points_C - joints_C, axis=1).mean() < 0.02
+    assert not np.allclose(both.points_C, once.read(frame, box).points_C)
+
+
 def test_where_nothing_was_measured_nothing_is_said(reader):
     depth = np.zeros((480, 640))
     depth[:20] = 1.0
