@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +12,10 @@ from neuralgrasps.errors import InputError
 from neuralgrasps.evaluate.pose import pose_errors
 from neuralgrasps.geometry.camera import look_at
 from neuralgrasps.geometry.primitives import sphere_mesh
+from neuralgrasps.perception import object_video
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.perception.object_video import follow_object, table_in_object, without
+from neuralgrasps.perception.object_sighting import sight, without
+from neuralgrasps.perception.object_video import follow_object, table_in_object
 
 FRAMES = 16
 
@@ -136,6 +141,35 @@ def test_the_table_is_given_in_the_object_frame(film):
     up_O = truth[0][:3, :3].T @ np.linalg.inv(look_at(np.array([0.50, 0.18, 0.42]), np.array([0.0, 0.0, 0.04])))[:3, 2]
     assert plane.normal @ up_O > 0.999
     assert np.abs(plane.height(obj.mesh.vertices).min()) < 2e-3
+
+
+def test_what_is_only_seen_in_the_air_has_no_table(film):
+    obj, frames, _ = film(ball=False)
+    found = follow_object(frames[14:], obj)  # lifted by 4 cm and more
+    assert found.reason == "" and table_in_object(found) is None
+    assert re.search(r"is in no frame seen standing on the table, but at least (39|4\d) mm above it", found.note)
+
+
+def test_the_table_is_the_one_it_stood_on_though_it_was_found_in_the_air(film):
+    obj, frames, _ = film(ball=False)
+    found = follow_object(frames[::-1], obj)  # lifted at first, and put down
+    assert found.stands_in is not None and found.stands_in >= 5 and found.note == ""
+    plane = table_in_object(found)
+    assert np.abs(plane.height(obj.mesh.vertices).min()) < 3e-3
+
+
+def test_a_pose_that_half_a_view_suggests_is_refuted_by_the_other_frames(film, monkeypatch):
+    obj, frames, truth = film(lifted=False, ball=False)
+    wrong = _at([0.0, 0.03, 0.0]) @ truth[0]
+
+    def seen(frame, number, obj, *, hidden=None, seed=0):
+        found = sight(frame, number, obj, hidden=hidden, seed=seed)
+        pose = replace(found.pose, confidence=0.8) if number == 0 else replace(found.pose, X_CO=wrong, confidence=0.98)
+        return replace(found, pose=pose)
+
+    monkeypatch.setattr(object_video, "sight", seen)
+    found = follow_object(frames, obj)
+    assert found.found_in == 0 and max(_errors(obj, found.X_CO, truth)) < 2e-3
 
 
 def test_no_frames_and_masks_of_everything(film):

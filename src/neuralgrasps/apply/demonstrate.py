@@ -159,6 +159,8 @@ def demonstrate(
         table=_first_table(frames, followed), config=config.watch,
     )  # fmt: skip
     clock("hand")
+    if followed.note:
+        track = replace(track, reasons=(*track.reasons, followed.note))
     if track.grasp is None:
         return replace(so_far, track=track, stage=track.stage, reason=track.reason)
     if track.grasp.confidence < config.least_confidence:

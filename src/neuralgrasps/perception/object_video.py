@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,22 +13,22 @@ from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.raster import depth_images
 from neuralgrasps.geometry.se3_numpy import inverse_np, transform_points_np
 from neuralgrasps.objects.object_model import ObjectModel
-from neuralgrasps.perception.clusters import find_clusters
 from neuralgrasps.perception.frame import Frame, camera_poses
-from neuralgrasps.perception.pose import PoseResult, estimate_pose
-from neuralgrasps.perception.table import TableFit, find_table
+from neuralgrasps.perception.object_sighting import Sighting, sight
+from neuralgrasps.perception.pose import PoseResult
+from neuralgrasps.perception.table import TableFit
 from neuralgrasps.perception.track import track_pose
 
 Hidden = Callable[[int], np.ndarray | None]
 """Of a frame's number: (h, w) bool, pixels that may show a person; None when nobody is there."""
 
 _TRIED, _TRIED_HIDDEN = 3, 5  # frames that the object is looked for in: without a person, and with one
-_SURE, _LEAST = 0.9, 0.5  # confidence that ends the search; least that counts as found
-_LEAST_HIDDEN = 0.75  # the same in a frame with a person, who may be taken for the object
-_CLUSTERS, _LEAST_PIXELS = 3, 50
+_SURE = 0.99  # confidence that ends the search
+_AS_WELL = 0.05  # poses that differ by less in what is seen of them are shown alike
 _AGREE_M = 0.008  # measured so near to the model; farther behind it, the object is not there
 _GONE_SHARE, _LOST_SHARE = 0.08, 0.5  # more of its pixels than at first show what is behind: looked at; lost
 _MOVED_M = 0.004  # less is no motion
+_STANDS_M = 0.012  # what stands on a table seems no higher above it or deeper in it
 _SUNK_M = 0.010  # nothing is so deep in the table
 _SEARCH_STRIDE = 2  # pixels
 
@@ -43,6 +44,8 @@ class FollowedObject:
         moves_from, lost_from: first frame in which it is no longer where it stood at first, or nowhere to be found;
             None: never.
         reason: why it was not found at all, "" when it was.
+        stands_in: first frame in which it stands at rest on the table; None: in none. table_O: the table in its frame
+            then, normal up. note: what that says against the table, in words, or "".
     """
 
     X_CO: np.ndarray
@@ -53,6 +56,9 @@ class FollowedObject:
     moves_from: int | None
     lost_from: int | None
     reason: str
+    stands_in: int | None = None
+    table_O: Plane | None = None
+    note: str = ""
 
 
 def follow_object(
@@ -72,37 +78,56 @@ def follow_object(
         raise InputError("there are no frames to look for the object in; expected at least one.")
     camera_poses(frames)  # refused at once when the camera moves and some frames do not say where
     hidden = hidden or (lambda _: None)
-    best, reason = None, "no frame"
-    for index in _order(len(frames), hidden):
-        found, why = _find(without(frames[index], hidden(index)), obj, seed)
-        reason = why or reason
-        if found is not None and (best is None or found[0].confidence > best[1].confidence):
-            best = (index, *found)
-        if best is not None and best[1].confidence >= _SURE:
-            break
-    if best is None or best[1].confidence < (_LEAST if hidden(best[0]) is None else _LEAST_HIDDEN):
+    seen, reason = _looked(frames, obj, hidden, seed)
+    best = _best(frames, obj, seen)
+    if best is None or not best.found:
         if best is not None:
-            reason = f"what stands there does not look like '{obj.name}': the confidence is {best[1].confidence:.2f}."
+            reason = f"what stands there does not look like '{obj.name}': the confidence is {best.pose.confidence:.2f}."
         if all(hidden(k) is not None for k in range(len(frames))):
             reason += " A person is in every frame, and may hide it: show it for a moment before the hand comes."
-        return _nowhere(len(frames), reason, None if best is None else best[1], None if best is None else best[2])
-    index, pose, table = best
-    followed = _follow(frames, obj, index, pose, table, seed)
-    clear = [k for k in range(index) if hidden(k) is None]
-    if hidden(index) is not None and clear and np.isnan(followed.X_CO[clear[0]]).any():
+        return _nowhere(len(frames), reason, best)
+    followed = _follow(frames, obj, best, seed)
+    clear = [k for k in range(best.frame) if hidden(k) is None]
+    if best.hidden and clear and np.isnan(followed.X_CO[clear[0]]).any():
         reason = (
-            f"what looks like '{obj.name}' in frame {index} ({100 * pose.confidence:.0f} % sure) is not there in frame "
-            f"{clear[0]}, before the person comes: it is another thing, or the person."
+            f"what looks like '{obj.name}' in frame {best.frame} ({100 * best.pose.confidence:.0f} % sure) is not "
+            f"there in frame {clear[0]}, before the person comes: it is another thing, or the person."
         )
-        return _nowhere(len(frames), reason, pose, table)
+        return _nowhere(len(frames), reason, best)
     return followed
 
 
-def without(frame: Frame, hidden: np.ndarray | None) -> Frame:
-    """The frame with the depth of some pixels left out; as it is when nothing would be left."""
-    if hidden is None or not (frame.depth[~hidden] > 0).any():
-        return frame
-    return replace(frame, depth=np.where(hidden, 0.0, frame.depth))
+def _looked(frames: Sequence[Frame], obj: ObjectModel, hidden: Hidden, seed: int) -> tuple[list[Sighting], str]:
+    """The object in a few frames, up to one in which it is sure; and why the last one of the others shows none."""
+    seen: list[Sighting] = []
+    reason = "no frame"
+    for number in _order(len(frames), hidden):
+        found = sight(frames[number], number, obj, hidden=hidden(number), seed=seed)
+        if isinstance(found, str):
+            reason = found
+            continue
+        seen.append(found)
+        if found.pose.confidence >= _SURE:
+            break
+    return seen, reason
+
+
+def _best(frames: Sequence[Frame], obj: ObjectModel, seen: Sequence[Sighting]) -> Sighting | None:
+    """The surest sighting; of those without a person the one whose pose all of them show.
+
+    Nobody has moved anything before the person comes: a pose that a half hidden view suggests is refuted by the others.
+    """
+    clear = [s for s in seen if not s.hidden and s.found]
+    if len(clear) < 2:
+        return max(seen, key=lambda s: s.pose.confidence, default=None)
+    X_WC = camera_poses(frames)
+    shown = []
+    for one in clear:
+        X_WO = X_WC[one.frame] @ one.pose.X_CO
+        views = [_compare(frames[s.frame], obj, inverse_np(X_WC[s.frame]) @ X_WO) for s in clear]
+        shown.append(float(np.mean([v.agree - v.through for v in views])))
+    alike = [s for s, share in zip(clear, shown, strict=True) if share > max(shown) - _AS_WELL]
+    return max(alike, key=lambda s: s.pose.confidence)
 
 
 def _order(count: int, hidden: Hidden) -> list[int]:
@@ -118,48 +143,55 @@ def _order(count: int, hidden: Hidden) -> list[int]:
     return some + rest[:_TRIED_HIDDEN]
 
 
-def _find(frame: Frame, obj: ObjectModel, seed: int) -> tuple[tuple[PoseResult, TableFit] | None, str]:
-    try:
-        table = find_table(frame, seed=seed)
-    except InputError as error:
-        return None, str(error)
-    best: PoseResult | None = None
-    for mask in find_clusters(frame, table.plane, extent=table.extent)[:_CLUSTERS]:
-        if (mask & (frame.depth > 0)).sum() < _LEAST_PIXELS:
-            continue
-        pose = estimate_pose(
-            obj, depth=frame.depth, intrinsics=frame.intrinsics, mask=mask, table=table.plane, seed=seed
-        )
-        if best is None or pose.confidence > best.confidence:
-            best = pose
-    if best is None:
-        return None, "nothing stands on the table."
-    return (best, table), ""
-
-
-def _nowhere(count: int, reason: str, pose: PoseResult | None, table: TableFit | None) -> FollowedObject:
+def _nowhere(count: int, reason: str, best: Sighting | None) -> FollowedObject:
+    pose, table = (None, None) if best is None else (best.pose, best.table)
     return FollowedObject(
         X_CO=np.full((count, 4, 4), np.nan), seen=np.zeros(count), found_in=-1, pose=pose, table=table,
         moves_from=None, lost_from=0, reason=reason,
     )  # fmt: skip
 
 
-def _follow(
-    frames: Sequence[Frame], obj: ObjectModel, start: int, pose: PoseResult, table: TableFit, seed: int
-) -> FollowedObject:
+def _follow(frames: Sequence[Frame], obj: ObjectModel, found: Sighting, seed: int) -> FollowedObject:
     """From the frame it was found in onwards, and back to the first."""
-    track = _Track(frames=frames, obj=obj, start=start, table=table, seed=seed)
-    X_WO = track.X_WC[start] @ pose.X_CO
+    start = found.frame
+    track = _Track(frames=frames, obj=obj, start=start, table=found.table, seed=seed)
+    X_WO = track.X_WC[start] @ found.pose.X_CO
     moves_from, lost_from = track.walk(range(start, len(frames)), X_WO)
     came_to, lost_before = track.walk(range(start - 1, -1, -1), X_WO)
     if came_to is not None:  # it stood elsewhere before
         moves_from = min(came_to + 1, start)
     if lost_before is not None and lost_from is None:
         lost_from = 0
+    stands_in, above_m = track.rest()
+    table_O = None
+    if stands_in is not None:
+        table_O = track.table_W.moved(inverse_np(track.X_WC[stands_in] @ track.X_CO[stands_in]))
     return FollowedObject(
-        X_CO=track.X_CO, seen=track.seen, found_in=start, pose=pose, table=table, moves_from=moves_from,
-        lost_from=lost_from, reason="",
+        X_CO=track.X_CO, seen=track.seen, found_in=start, pose=found.pose, table=found.table, moves_from=moves_from,
+        lost_from=lost_from, reason="", stands_in=stands_in, table_O=table_O,
+        note="" if stands_in is not None else _not_standing(obj.name, above_m),
     )  # fmt: skip
+
+
+def _not_standing(name: str, above_m: float) -> str:
+    where = f"at least {1e3 * abs(above_m):.0f} mm {'above' if above_m > 0 else 'below'} it"
+    return (
+        f"'{name}' is in no frame seen standing on the table, but {where}: how it stood is not known, and the table is "
+        "left out of account. Show it on the table before it is lifted."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """Of the pixels that an object covers: the shares that agree, and that are seen through; others are hidden."""
+
+    agree: float
+    through: float
+
+    @property
+    def gone(self) -> float:
+        """Share seen through, of what is not hidden."""
+        return self.through / max(self.agree + self.through, 1e-9)
 
 
 class _Track:
@@ -178,20 +210,34 @@ class _Track:
         for k in numbers:
             frame, X_CW = self.frames[k], inverse_np(self.X_WC[k])
             self.X_CO[k] = X_CW @ X_WO
-            gone, self.seen[k] = _compare(frame, self.obj, self.X_CO[k])
+            view = _compare(frame, self.obj, self.X_CO[k])
+            gone, self.seen[k] = view.gone, view.agree
             if self.usual is None:
                 self.usual = gone
             if gone <= self.usual + _GONE_SHARE:
                 continue
             tracked = _tracked(frame, self.obj, self.X_CO[k], self.table_W.moved(X_CW), self.seed)
-            left, agrees = (1.0, 0.0) if tracked is None else _compare(frame, self.obj, tracked)
-            if tracked is not None and left < gone and _shift(self.obj, tracked, self.X_CO[k]) > _MOVED_M:
+            there = _View(0.0, 1.0) if tracked is None else _compare(frame, self.obj, tracked)
+            if tracked is not None and there.gone < gone and _shift(self.obj, tracked, self.X_CO[k]) > _MOVED_M:
                 moves = k if moves is None else moves
-                self.X_CO[k], X_WO, gone, self.seen[k] = tracked, self.X_WC[k] @ tracked, left, agrees
+                self.X_CO[k], X_WO, gone, self.seen[k] = tracked, self.X_WC[k] @ tracked, there.gone, there.agree
             if gone > _LOST_SHARE:
                 self.X_CO[k] = np.nan
                 return moves, k
         return moves, None
+
+    def rest(self) -> tuple[int | None, float]:
+        """The first frame in which the object stands on the table and keeps still; how high it is at least above it."""
+        known = np.flatnonzero(np.isfinite(self.X_CO).all(axis=(1, 2)))
+        X_WO = self.X_WC[known] @ self.X_CO[known]
+        height = np.array([self.table_W.height(transform_points_np(X, self.obj.mesh.vertices)).min() for X in X_WO])
+        steps = np.array([_shift(self.obj, a, b) for a, b in itertools.pairwise(X_WO)])
+        still = np.ones(len(known), bool) if not len(steps) else np.append(steps, np.inf) < _MOVED_M
+        still[1:] |= steps < _MOVED_M
+        standing = np.flatnonzero(still & (np.abs(height) < _STANDS_M))
+        if len(standing):
+            return int(known[standing[0]]), 0.0
+        return None, float(height[np.argmin(np.abs(height))])
 
 
 def _tracked(view: Frame, obj: ObjectModel, X_CO: np.ndarray, table_C: Plane, seed: int) -> np.ndarray | None:
@@ -211,23 +257,20 @@ def _shift(obj: ObjectModel, X_a: np.ndarray, X_b: np.ndarray) -> float:
     return float(np.linalg.norm(transform_points_np(X_a, corners) - transform_points_np(X_b, corners), axis=1).max())
 
 
-def _compare(view: Frame, obj: ObjectModel, X_CO: np.ndarray) -> tuple[float, float]:
-    """Of the pixels that the object at a pose covers: the share seen through, of those not hidden; and that agree."""
+def _compare(view: Frame, obj: ObjectModel, X_CO: np.ndarray) -> _View:
+    """What a frame shows of the object at a pose."""
     k = view.intrinsics
     model = depth_images(obj.mesh, X_CO[None], k)[0][::_SEARCH_STRIDE, ::_SEARCH_STRIDE]
     depth = view.depth[::_SEARCH_STRIDE, ::_SEARCH_STRIDE]
     covered = np.isfinite(model)
     if not covered.any():
-        return 1.0, 0.0
+        return _View(0.0, 1.0)
     behind = depth[covered] - model[covered]
     measured = depth[covered] > 0
-    agree = float((measured & (np.abs(behind) < _AGREE_M)).sum())
-    through = float((measured & (behind > _AGREE_M)).sum())
-    return through / max(agree + through, 1.0), agree / covered.sum()
+    agree, through = measured & (np.abs(behind) < _AGREE_M), measured & (behind > _AGREE_M)
+    return _View(float(agree.mean()), float(through.mean()))
 
 
 def table_in_object(followed: FollowedObject) -> Plane | None:
-    """The table in the object's frame as it stood, normal up; None when it was not found."""
-    if followed.table is None or followed.pose is None or followed.reason:
-        return None
-    return followed.table.plane.moved(inverse_np(followed.pose.X_CO))
+    """The table in the object's frame as it stood, normal up; None when it was not found, or not seen to stand."""
+    return followed.table_O

@@ -1,0 +1,39 @@
+"""A known object in one frame, with a person in it or without."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from neuralgrasps.evaluate.pose import pose_errors
+from neuralgrasps.geometry.primitives import box_mesh
+from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.object_sighting import sight
+
+
+@pytest.fixture
+def behind(things, look, standing):
+    """A frame of a thing that stands behind a bar, as behind a finger, and the bar's pixels."""
+
+    def make(name, *, bar, at, yaw_rad=1.0, noise=None):
+        obj = things[name]
+        X = np.eye(4)
+        X[:3, 3] = at
+        seen = look(obj.mesh, standing(obj, yaw_rad=yaw_rad), others=[(box_mesh(bar), X)], noise=noise)
+        return obj, Frame(seen.depth, seen.intrinsics), seen.masks[0], seen.X_CO
+
+    return make
+
+
+def test_what_a_hand_hides_speaks_for_nothing(behind):
+    obj, frame, hand, truth = behind("wedge", bar=[0.02, 0.05, 0.2], at=[0.1, 0.07, 0.1])
+    found = sight(frame, 0, obj, hidden=hand)
+    assert found.found and found.pose.confidence > 0.95
+    assert pose_errors(obj, found.pose.X_CO, truth).mssd_m < 3e-3
+
+
+def test_the_pieces_that_a_finger_leaves_of_a_thing_are_one_thing(behind):
+    obj, frame, hand, truth = behind("box", bar=[0.02, 0.015, 0.2], at=[0.1, 0.045, 0.1])
+    found = sight(frame, 0, obj, hidden=hand)
+    assert found.found and found.pose.confidence > 0.95
+    assert pose_errors(obj, found.pose.X_CO, truth).mssd_m < 3e-3
