@@ -34,12 +34,18 @@ class ShownVideo:
     X_CO: np.ndarray
 
 
-def shown_video(obj: ObjectModel, gaps_m: tuple[float | None, ...], *, colour: bool = False) -> ShownVideo:
-    """A frame for each gap between the palm and the object's side; None: no hand."""
+def shown_video(
+    obj: ObjectModel,
+    gaps_m: tuple[float | None, ...],
+    *,
+    colour: bool = False,
+    eye: tuple[float, float, float] = (0.5, -0.35, 0.45),
+) -> ShownVideo:
+    """A frame for each gap between the palm and the object's side; None: no hand. `eye`: the camera in the world."""
     low = obj.mesh.vertices.min(axis=0)
     X_WO = np.eye(4)
     X_WO[2, 3] = -low[2]
-    X_WC = look_at(np.array([0.5, -0.35, 0.45]), np.array([0.0, -0.02, -low[2]]))
+    X_WC = look_at(np.array(eye), np.array([0.0, -0.02, -low[2]]))
     X_CO = np.linalg.inv(X_WC) @ X_WO
     table = box_mesh(np.array([0.6, 0.6, 0.01])).transformed(np.linalg.inv(X_WC) @ _shift([0.0, 0.0, -0.01]))
     video = ShownVideo(frames=[], boxes=[], seen=[], fits=[], X_CO=X_CO)
