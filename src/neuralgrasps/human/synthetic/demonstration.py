@@ -183,12 +183,15 @@ class _Film:
 
     def pictures(self) -> Iterator[tuple[Picture, np.ndarray, float]]:
         """Each frame's picture, the hand's pixels (h, w) bool, and the share of the hand that is seen."""
+        shown: tuple[Picture, np.ndarray, float] | None = None
         for t in range(len(self._motion.q)):
-            vertices = self._vertices(t)
-            picture = self._scene.draw(vertices)
-            mask = picture.index == self._hand_index
-            alone = alone_mask(vertices[0], self._body.mesh.faces, self.X_WC, self.intrinsics)
-            yield picture, mask, visible_share(mask, alone)
+            if shown is None or not self._motion.keeps(t):
+                vertices = self._vertices(t)
+                picture = self._scene.draw(vertices)
+                mask = picture.index == self._hand_index
+                alone = alone_mask(vertices[0], self._body.mesh.faces, self.X_WC, self.intrinsics)
+                shown = picture, mask, visible_share(mask, alone)
+            yield shown
 
     def _vertices(self, t: int) -> list[np.ndarray]:
         """Vertices in W of hand, object and arm at frame t."""

@@ -27,6 +27,10 @@ class Motion:
     def grasp_frame(self) -> int:
         return (self.still[0] + self.still[1] - 1) // 2
 
+    def keeps(self, t: int) -> bool:
+        """Whether nothing moved since the frame before."""
+        return t > 0 and all(np.array_equal(x[t], x[t - 1]) for x in (self.X_WH, self.q, self.X_WO))
+
 
 def demonstration_motion(
     path: HandPath, X_WO: np.ndarray, *, still_frames: tuple[int, int], lift: bool, rng: np.random.Generator

@@ -67,6 +67,13 @@ class ShadedScene:
         self._normals = _normals(vertices_W, self._stay[0])
         self._by_light = np.full((_SHADOW_PIXELS, _SHADOW_PIXELS), np.inf, np.float32)
         self._light_up(vertices_W, self._stay[0], self._by_light)
+        self._index, self._colour = np.full(self._face.shape, -1, np.int16), np.empty((*self._face.shape, 3), np.uint8)
+        self._lit_at = np.empty(self._face.shape, np.int32)  # where in the light's image each pixel's surface is
+        nothing_known = np.zeros(self._face.shape, bool)
+        self._shaded(
+            self._depth, self._face, self._stay[1], self._normals, self._by_light, nothing_known, self._lit_at,
+            self._index, self._colour,
+        )  # fmt: skip
 
     def _blank(self) -> tuple[np.ndarray, np.ndarray]:
         shape = (self.intrinsics.height, self.intrinsics.width)
@@ -97,15 +104,23 @@ class ShadedScene:
         depth, face = self._drawn(points, faces, len(stay_faces), self._depth.copy(), self._face.copy())
         normals = np.concatenate([self._normals, _normals(points, faces)])
         owners = np.concatenate([stay_owner, owner + self._count])
-        by_light = self._by_light.copy()
+        by_light, known = self._by_light.copy(), np.empty(depth.shape, bool)
         self._light_up(points, faces, by_light)
+        _mark_known(face, self._face, self._lit_at, by_light != self._by_light, known)
+        index, colour = self._index.copy(), self._colour.copy()
+        self._shaded(depth, face, owners, normals, by_light, known, np.empty(depth.shape, np.int32), index, colour)
+        return Picture(depth=np.where(face >= 0, depth, np.float32(0.0)), index=index, colour=colour)
+
+    def _shaded(
+        self, depth: np.ndarray, face: np.ndarray, owners: np.ndarray, normals: np.ndarray, by_light: np.ndarray,
+        known: np.ndarray, lit_at: np.ndarray, index: np.ndarray, colour: np.ndarray,
+    ) -> None:  # fmt: skip
         k = self.intrinsics
-        index, colour = np.full(depth.shape, -1, np.int16), np.empty((*depth.shape, 3), np.uint8)
         _shade(
             depth, face, owners, normals, self._colours, np.array(_BACKGROUND, np.float64), self.X_WC,
-            np.array([k.fx, k.fy, k.cx, k.cy]), self._light_W, self._X_LW, by_light, self._shadow.fx, index, colour,
+            np.array([k.fx, k.fy, k.cx, k.cy]), self._light_W, self._X_LW, by_light, self._shadow.fx, known, lit_at,
+            index, colour,
         )  # fmt: skip
-        return Picture(depth=np.where(face >= 0, depth, np.float32(0.0)), index=index, colour=colour)
 
 
 def _packed(things: Sequence[Thing]) -> tuple[np.ndarray, np.ndarray]:
@@ -136,12 +151,41 @@ def _normals(vertices, faces):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _shade(depth, face, owners, normals, colours, background, X_WC, k, light, X_LW, by_light, focal, index, out):  # type: ignore[no-untyped-def]
-    """Lambert's law with a sky, a fill from the camera, and a soft shadow."""
+def _mark_known(face, still_face, lit_at, changed, known):  # type: ignore[no-untyped-def]
+    """Pixels that look as if only what stays were there: the same face is seen, and no shadow came or went on it.
+
+    Args:
+        lit_at: as `_shade` writes it. changed: (n, n) bool, where the light sees something else. known: written.
+    """
+    wide = changed.shape[1]
+    for v in range(face.shape[0]):
+        for u in range(face.shape[1]):
+            known[v, u] = face[v, u] == still_face[v, u]
+            if known[v, u] and lit_at[v, u] >= 0:
+                row, column = lit_at[v, u] // wide, lit_at[v, u] % wide
+                for k in range(5):
+                    i, j = (0, 0) if k == 4 else (2 * (k // 2) - 1, 2 * (k % 2) - 1)
+                    known[v, u] &= not changed[row + i, column + j]
+
+
+@njit(cache=True, error_model="numpy")
+def _shade(  # type: ignore[no-untyped-def]
+    depth, face, owners, normals, colours, background, X_WC, k, light, X_LW, by_light, focal, known, lit_at, index, out
+):  # fmt: skip
+    """Lambert's law with a sky, a fill from the camera, and a soft shadow.
+
+    Args:
+        known: (h, w) bool, pixels that are right already.
+        lit_at: (h, w) int32, written: the pixel of the light's image, row by row, that says whether a surface is lit;
+            -1 where that does not matter.
+    """
     half = 0.5 * (by_light.shape[0] - 1)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
+            if known[v, u]:
+                continue
             f = face[v, u]
+            lit_at[v, u] = -1
             if f < 0:
                 for c in range(3):
                     out[v, u, c] = np.uint8(background[c])
@@ -165,6 +209,7 @@ def _shade(depth, face, owners, normals, colours, background, X_WC, k, light, X_
                 qz = X_LW[2, 0] * px + X_LW[2, 1] * py + X_LW[2, 2] * pz + X_LW[2, 3]
                 su, sv = int(np.rint(qx / qz * focal + half)), int(np.rint(qy / qz * focal + half))
                 if 1 <= su < by_light.shape[1] - 1 and 1 <= sv < by_light.shape[0] - 1:
+                    lit_at[v, u] = sv * by_light.shape[1] + su
                     lit = 1.0 * (by_light[sv, su] > qz - bias)
                     for i in range(-1, 2, 2):
                         for j in range(-1, 2, 2):
