@@ -14,12 +14,18 @@ if TYPE_CHECKING:
 
 
 def open_library(terminal: Terminal, sources: Sequence[str]) -> tuple[Library, dict[str, ObjectModel]]:
-    """The objects of some sources, with warnings for what is wrong with them, and the library of them."""
+    """The objects of some sources, and the library of them."""
+    models = read_objects(terminal, sources)
+    return library_of(sources, models), models
+
+
+def read_objects(terminal: Terminal, sources: Sequence[str]) -> dict[str, ObjectModel]:
+    """The objects of some sources by name, with warnings for what is wrong with them."""
     with terminal.progress("reading objects"):
         models = open_objects(sources)
     warn_of_damage(terminal, models.values())
     warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
-    return library_of(sources, models), models
+    return models
 
 
 def library_of(sources: Sequence[str], models: Mapping[str, ObjectModel]) -> Library:

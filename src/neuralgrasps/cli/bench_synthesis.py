@@ -12,7 +12,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from neuralgrasps.cli.models import open_hands, open_objects, warn_of_damage, warn_of_stand_ins
+from neuralgrasps.cli.bench_library import read_objects
+from neuralgrasps.cli.bench_result import object_origins
+from neuralgrasps.cli.models import open_hands
 from neuralgrasps.cli.terminal import Terminal
 from neuralgrasps.errors import InputError
 
@@ -62,10 +64,9 @@ def bench_synthesis(
         synthesis=SynthesisConfig() if count is None else SynthesisConfig(count=count), seed=seed, workers=workers
     )
     sources = bench_objects(objects, quick=quick)
-    with terminal.progress("reading hands and objects"):
-        loaded, models = open_hands(hand_sources(hands)), open_objects(sources)
-    warn_of_damage(terminal, models.values())
-    warn_of_stand_ins(terminal, dict(zip(models, sources, strict=True)), models)
+    with terminal.progress("reading hands"):
+        loaded = open_hands(hand_sources(hands))
+    models = read_objects(terminal, sources)
     with terminal.progress("synthesis") as bar:
         result = run(list(loaded.values()), list(models.values()), config=config, progress=bar.stage)
     figures = dict(result.figures)
@@ -75,15 +76,13 @@ def bench_synthesis(
             more["unseen_hand"] = make_with_unseen_hand(unseen_hand, _soup_can(sources), seed=seed)
         figures["unseen_hand_wall_s"] = more["unseen_hand"]["wall_s_to_count"]
     records = [pair_record(pair) for pair in result.pairs]
+    missing = infeasible_pairs(result.pairs)
     _show(terminal, records, result)
-    for missing in infeasible_pairs(result.pairs):
-        terminal.say(
-            f"{missing['hand']} on {missing['object']}: {missing['validated']} of {missing['wanted']}: "
-            f"{missing['reason']}"
-        )
+    for pair in missing:
+        terminal.say(f"{pair['hand']} on {pair['object']}: {pair['validated']} of {pair['wanted']}: {pair['reason']}")
     shown = {
         "objects": list(models),
-        "object_sources": {name: obj.provenance.get("source", "") for name, obj in models.items()},
+        "object_sources": object_origins(models),
         "hands": list(loaded),
         "seed": seed,
         "workers": workers or available_cpus(),
@@ -98,7 +97,7 @@ def bench_synthesis(
         "figures": figures,
         "epsilon": asdict(result.epsilon) if result.epsilon else None,
         **more,
-        "infeasible": infeasible_pairs(result.pairs),
+        "infeasible": missing,
         "pairs": records,
     }
 

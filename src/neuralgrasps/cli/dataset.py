@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -26,6 +26,7 @@ from neuralgrasps.cli.terminal import Cell, Outcome, Terminal, counted
 from neuralgrasps.errors import DataFormatError, InputError, UnknownNameError, unknown_name
 
 if TYPE_CHECKING:
+    from neuralgrasps.dataset.read import GraspDataset
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
@@ -252,64 +253,60 @@ def info(terminal: Terminal, dataset: PositionalFolder, /) -> Outcome:
     from neuralgrasps.dataset.verify import short_files
 
     data = read_dataset(dataset)
-    config = data.manifest.config
-    size = sum(f.stat().st_size for f in dataset.rglob("*") if f.is_file())
-    shards = data.manifest.shards
-    samples = f"{config.queries_per_scene} per grasp, " + ("stored" if config.store_samples else "computed when read")
-    clouds = f"{config.clouds}, {config.cloud_points} points each" if config.clouds != "none" else "none stored"
-    held_out = [*data.manifest.held_out_hands, *data.manifest.held_out_objects]
-    splits = {(s.hand, s.object): data.split(s.hand, s.object) for s in shards}
-    facts: list[tuple[str, Cell]] = [
-        ("folder", str(dataset)),
-        ("made with", f"neuralgrasps {data.manifest.library_version}, seed {config.seed}"),
-        ("grasps", sum(s.scenes for s in shards)),
-        ("samples", samples),
-        ("point clouds", clouds),
-        ("held out", ", ".join(held_out) or "no hand, no object"),
-        ("size", f"{size / 1e6:.1f} MB"),
-    ]
-    terminal.facts(facts)
-    terminal.table(
-        ("object", "hand", "grasps", "train", "test", "spare"),
-        [
-            (s.object, s.hand, s.scenes, len(split.train), len(split.test), len(split.spare))
-            for s, split in zip(shards, splits.values(), strict=True)
-        ],
-    )
+    damaged = short_files(data)
+    record = _record(dataset, data) | {"damaged": damaged}
+    _show_info(terminal, data, record)
     terminal.say(
         f"train: what a run is fitted to; test: what it must not see; spare: beyond {TRAIN_LIMIT} and {TEST_LIMIT} "
         "of a pair, used by neither."
     )
-    damaged = short_files(data)
     terminal.notes(damaged, title="DAMAGED (`dataset verify` checks the content of all files):")
-    result = {
+    return Outcome(result=record)
+
+
+def _record(dataset: Path, data: GraspDataset) -> dict[str, Any]:
+    """What a dataset holds, as a JSON object."""
+    manifest, config = data.manifest, data.manifest.config
+    splits = [(s, data.split(s.hand, s.object)) for s in manifest.shards]
+    return {
         "folder": str(dataset),
-        "library_version": data.manifest.library_version,
+        "library_version": manifest.library_version,
         "seed": config.seed,
         "queries_per_grasp": config.queries_per_scene,
         "samples_stored": config.store_samples,
         "clouds": config.clouds,
         "cloud_points": config.cloud_points if config.clouds != "none" else 0,
-        "held_out_hands": data.manifest.held_out_hands,
-        "held_out_objects": data.manifest.held_out_objects,
-        "size_bytes": size,
-        "damaged": damaged,
+        "held_out_hands": manifest.held_out_hands,
+        "held_out_objects": manifest.held_out_objects,
+        "size_bytes": sum(f.stat().st_size for f in dataset.rglob("*") if f.is_file()),
         "hands": data.hands,
         "objects": data.objects,
-        "grasps": sum(s.scenes for s in shards),
+        "grasps": sum(s.scenes for s in manifest.shards),
         "pairs": [
-            {
-                "hand": s.hand,
-                "object": s.object,
-                "grasps": s.scenes,
-                "train": len(splits[s.hand, s.object].train),
-                "test": len(splits[s.hand, s.object].test),
-            }
-            for s in shards
+            {"hand": s.hand, "object": s.object, "grasps": s.scenes, "train": len(split.train), "test": len(split.test)}
+            for s, split in splits
         ],
         "sources": read_sources(dataset) if (dataset / SOURCES_FILE).is_file() else {},
-    }
-    return Outcome(result=result)
+    }  # fmt: skip
+
+
+def _show_info(terminal: Terminal, data: GraspDataset, record: Mapping[str, Any]) -> None:
+    clouds, stored = record["clouds"], "stored" if record["samples_stored"] else "computed when read"
+    facts: list[tuple[str, Cell]] = [
+        ("folder", record["folder"]),
+        ("made with", f"neuralgrasps {record['library_version']}, seed {record['seed']}"),
+        ("grasps", record["grasps"]),
+        ("samples", f"{record['queries_per_grasp']} per grasp, {stored}"),
+        ("point clouds", f"{clouds}, {record['cloud_points']} points each" if clouds != "none" else "none stored"),
+        ("held out", ", ".join([*record["held_out_hands"], *record["held_out_objects"]]) or "no hand, no object"),
+        ("size", f"{record['size_bytes'] / 1e6:.1f} MB"),
+    ]
+    terminal.facts(facts)
+    rows = [
+        (p["object"], p["hand"], p["grasps"], p["train"], p["test"], len(data.split(p["hand"], p["object"]).spare))
+        for p in record["pairs"]
+    ]
+    terminal.table(("object", "hand", "grasps", "train", "test", "spare"), rows)
 
 
 def verify(terminal: Terminal, dataset: PositionalFolder, /, *, spot_checks: int = 200) -> Outcome:

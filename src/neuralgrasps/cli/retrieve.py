@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,10 +68,7 @@ def retrieve(
 
     if picture is not None:
         check_writable(picture)
-    if query is not None and (query_hand is not None or query_cloud is not None):
-        raise InputError("--query, --query-cloud and --query-hand each name a query; with --query give neither other.")
-    if viewpoint is not None and (query_cloud is None or query_hand is None):
-        raise InputError("--viewpoint is of a --query-cloud whose hand is named with --query-hand.")
+    _check_query(query, query_hand, query_cloud, viewed=viewpoint is not None)
     with terminal.progress("reading the run"):
         model = open_run(run, hands, objects)
     if query_cloud is not None:
@@ -83,26 +81,8 @@ def retrieve(
     found = find(asked.code, gallery, object_name=name, hand=hand, count=count, farthest=farthest, include_test=True)
     rows = _rows(gallery, found, range(int((found.index[0] >= 0).sum())))
     query_name = asked.code.hands[int(asked.code.hand_index[0])]
-    which = "least" if farthest else "most"
-    terminal.say(f"{name}: grasps that hold it {which} like {asked.text}")
-    terminal.table(
-        ("rank", "hand", "grasp", "part", "code distance", "contact distance"),
-        [
-            (
-                r["rank"],
-                r["hand"],
-                r["grasp_index"],
-                r["part"],
-                f"{r['code_distance']:.4f}",
-                f"{r['contact_distance']:.4f}",
-            )
-            for r in rows
-        ],
-    )
-    terminal.say(
-        "Distances: mean absolute difference of the contact part of the codes, and of the contact maps, by which the "
-        "first 20 are put in order; 0 = same."
-    )
+    terminal.say(f"{name}: grasps that hold it {'least' if farthest else 'most'} like {asked.text}")
+    _show(terminal, rows)
     result: dict[str, Any] = {"object": name, "query": asked.text, "query_hand": query_name, "results": rows}
     if query_cloud is None:
         result["query_index"] = query_index
@@ -112,6 +92,25 @@ def retrieve(
         terminal.say(f"Picture: {picture}")
         result["picture"] = str(picture)
     return Outcome(result=result)
+
+
+def _check_query(query: Path | None, query_hand: str | None, query_cloud: Path | None, *, viewed: bool) -> None:
+    if query is not None and (query_hand is not None or query_cloud is not None):
+        raise InputError("--query, --query-cloud and --query-hand each name a query; with --query give neither other.")
+    if viewed and (query_cloud is None or query_hand is None):
+        raise InputError("--viewpoint is of a --query-cloud whose hand is named with --query-hand.")
+
+
+def _show(terminal: Terminal, rows: Sequence[Mapping[str, Any]]) -> None:
+    cells = [
+        (r["rank"], r["hand"], r["grasp_index"], r["part"], f"{r['code_distance']:.4f}", f"{r['contact_distance']:.4f}")
+        for r in rows
+    ]
+    terminal.table(("rank", "hand", "grasp", "part", "code distance", "contact distance"), cells)
+    terminal.say(
+        "Distances: mean absolute difference of the contact part of the codes, and of the contact maps, by which the "
+        "first 20 are put in order; 0 = same."
+    )
 
 
 def _rows(gallery: CodeBook, found: Any, ranks: range) -> list[dict[str, Any]]:

@@ -28,6 +28,7 @@ from neuralgrasps.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
+    from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
     from neuralgrasps.synthesis.synthesise import SynthesisConfig, SynthesisResult
@@ -120,23 +121,36 @@ def synthesise(
     depth_m = _overlap(terminal, model, obj, result)
     record = _pair_figures(result, config, depth_m, wall_s=wall_s, cpu_s=cpu_s, compile_s=compile_s)
     if len(result.grasps):
-        from neuralgrasps.dataset.collect import object_fingerprint
-        from neuralgrasps.grasps.grasp_io import save_grasps
-
         grasps = result.grasps.with_config(hand_source=source_text(hand), object_source=source_text(object_name))
-        make_parent(out)
-        save_grasps(out, grasps, hand=model, object_fingerprint=object_fingerprint(obj))
+        _write(out, grasps, model, obj)
         record["file"] = str(out)
         if report is not None:
-            from neuralgrasps.cli.grasp_page import write_grasp_page
-            from neuralgrasps.report.contact_sheet import SheetPair
-
-            pair = SheetPair(hand=model, obj=obj, grasps=grasps, depth_m=depth_m)
-            with terminal.progress("drawing", "pictures") as bar:
-                write_grasp_page(report, pair, record, command=terminal.command, workers=workers, progress=bar)
+            _draw(terminal, report, (model, obj, grasps, depth_m), record, workers)
             record["report"] = str(report)
     _show_pair(terminal, record, obj)
     return Outcome(result=record, exit_code=0 if len(result.grasps) else 1)
+
+
+def _write(out: Path, grasps: GraspSet, hand: Hand, obj: ObjectModel) -> None:
+    from neuralgrasps.dataset.collect import object_fingerprint
+    from neuralgrasps.grasps.grasp_io import save_grasps
+
+    make_parent(out)
+    save_grasps(out, grasps, hand=hand, object_fingerprint=object_fingerprint(obj))
+
+
+def _draw(
+    terminal: Terminal, report: Path, made: tuple[Hand, ObjectModel, GraspSet, np.ndarray], record: dict[str, Any],
+    workers: int | None,
+) -> None:  # fmt: skip
+    """The page of a pair: hand, object, grasps, and (N,) how deep each overlaps."""
+    from neuralgrasps.cli.grasp_page import write_grasp_page
+    from neuralgrasps.report.contact_sheet import SheetPair
+
+    hand, obj, grasps, depth_m = made
+    pair = SheetPair(hand=hand, obj=obj, grasps=grasps, depth_m=depth_m)
+    with terminal.progress("drawing", "pictures") as bar:
+        write_grasp_page(report, pair, record, command=terminal.command, workers=workers, progress=bar)
 
 
 def _check_choice(

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
+    from neuralgrasps.report.contact_sheet import SheetPair
     from neuralgrasps.report.feasibility import PairSummary
     from neuralgrasps.synthesis.synthesise import SynthesisConfig
 
@@ -47,25 +48,11 @@ def synthesise_all(
 ) -> Outcome:
     """Fill `folder`, and write the table of every pair beside the grasps and, when asked for, the page `report`."""
     from neuralgrasps.dataset.collect import collect_grasps
-    from neuralgrasps.hands.zoo import hand_sources
-    from neuralgrasps.objects.zoo import object_names, object_sources
     from neuralgrasps.report.feasibility import summarise_pair, write_feasibility
 
     check_writable(folder, folder=True)
-    hand_specs, object_specs = hand_sources(hands), object_sources(objects or object_names())
-    with terminal.progress("reading hands and objects"):
-        loaded = open_hands(hand_specs)
-        models, object_files, skipped = open_readable(
-            object_specs, named=tuple(objects) or object_specs, unit=unit, mass_kg=mass_kg
-        )
-    warn_of_damage(terminal, models.values())
-    warn_of_stand_ins(terminal, object_files, models)
+    loaded, models, skipped = _opened(terminal, folder, hands, objects, unit=unit, mass_kg=mass_kg)
     warn_of_guesses(terminal, loaded.values(), power_share=config.power_share)
-    write_sources(
-        folder,
-        hands=dict(zip(loaded, map(source_text, hand_specs), strict=True)),
-        objects={name: source_text(spec) for name, spec in object_files.items()},
-    )
     terminal.kept = f"Finished pairs are kept in '{folder}'; the same command goes on from there."
     wall = time.perf_counter()
     with terminal.progress(f"{counted(len(loaded), 'hand')} on {counted(len(models), 'object')}", "pairs") as bar:
@@ -75,8 +62,7 @@ def synthesise_all(
         )  # fmt: skip
     depths = _overlaps(terminal, loaded, models, sets, workers)
     pairs = [summarise_pair(g, record, depth) for g, record, depth in zip(sets, records, depths, strict=True)]
-    wall_s = time.perf_counter() - wall
-    total = sum(p.validated for p in pairs)
+    wall_s, total = time.perf_counter() - wall, sum(p.validated for p in pairs)
     about: dict[str, Any] = {"seed": seed, "protocol": config.protocol, "grasps": total, "wall_s": wall_s}
     about["cpu_s"] = sum(p.cpu_s for p in pairs)
     about["skipped"] = [{"object": file, "reason": reason} for file, reason in skipped.items()]
@@ -87,21 +73,58 @@ def synthesise_all(
     terminal.say(f"Table: {table}, {sheet.name}")
     terminal.notes([f"{file}: {reason}" for file, reason in skipped.items()], title="Skipped:")
     if report is not None:
-        from neuralgrasps.cli.feasibility_page import write_feasibility_page
         from neuralgrasps.report.contact_sheet import SheetPair
 
         drawn = [
             SheetPair(hand=loaded[g.hand], obj=models[g.object], grasps=g, depth_m=depth)
             for g, depth in zip(sets, depths, strict=True)
         ]
-        with terminal.progress("drawing", "pictures") as bar:
-            write_feasibility_page(
-                report, drawn, pairs, seed=seed, protocol=config.protocol, command=terminal.command, workers=workers,
-                progress=bar,
-            )  # fmt: skip
+        _draw(terminal, report, drawn, pairs, seed=seed, protocol=config.protocol, workers=workers)
         result["report"] = str(report)
-        terminal.say(f"Page: {report}")
     return Outcome(result=result, exit_code=0 if total else 1)
+
+
+def _opened(
+    terminal: Terminal, folder: Path, hands: Sequence[str], objects: Sequence[str], *, unit: str, mass_kg: float | None
+) -> tuple[dict[str, Hand], dict[str, ObjectModel], dict[str, str]]:
+    """Hands and objects by name, their sources noted in the folder; and files that were skipped, with the reason."""
+    from neuralgrasps.hands.zoo import hand_sources
+    from neuralgrasps.objects.zoo import object_names, object_sources
+
+    hand_specs, object_specs = hand_sources(hands), object_sources(objects or object_names())
+    with terminal.progress("reading hands and objects"):
+        loaded = open_hands(hand_specs)
+        models, object_files, skipped = open_readable(
+            object_specs, named=tuple(objects) or object_specs, unit=unit, mass_kg=mass_kg
+        )
+    warn_of_damage(terminal, models.values())
+    warn_of_stand_ins(terminal, object_files, models)
+    write_sources(
+        folder,
+        hands=dict(zip(loaded, map(source_text, hand_specs), strict=True)),
+        objects={name: source_text(spec) for name, spec in object_files.items()},
+    )
+    return loaded, models, skipped
+
+
+def _draw(
+    terminal: Terminal,
+    report: Path,
+    drawn: Sequence[SheetPair],
+    pairs: Sequence[PairSummary],
+    *,
+    seed: int,
+    protocol: str,
+    workers: int | None,
+) -> None:
+    """The page of all pairs."""
+    from neuralgrasps.cli.feasibility_page import write_feasibility_page
+
+    with terminal.progress("drawing", "pictures") as bar:
+        write_feasibility_page(
+            report, drawn, pairs, seed=seed, protocol=protocol, command=terminal.command, workers=workers, progress=bar
+        )
+    terminal.say(f"Page: {report}")
 
 
 def _overlaps(

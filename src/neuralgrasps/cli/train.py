@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -79,19 +80,12 @@ def train(
             checkpoint_minutes=checkpoint_minutes, device=device, seed=seed, threads=threads,
         )  # fmt: skip
         return train_mlp_field(terminal, dataset, out, options, hands=hands)
-    if object_ is not None or minutes is not None or epochs is not None or device is not None:
-        raise InputError(
-            "--object, --minutes, --epochs and --device belong to --field mlp; the default field has none."
-        )
+    _check_options(steps, learning_rate, mlp_only=(object_, minutes, epochs, device))
     from neuralgrasps.dataset.read import read_dataset
     from neuralgrasps.model.checkpoint import save_run
     from neuralgrasps.model.train import TrainConfig
     from neuralgrasps.model.train import train as fit
 
-    if steps < 1:
-        raise InputError(f"--steps is {steps}; expected at least 1.")
-    if not 0.0 < learning_rate <= 1.0:
-        raise InputError(f"--learning-rate is {learning_rate:g}; expected above 0, at most 1; 0.003 suits most data.")
     check_writable(out, folder=True)
     config = TrainConfig(steps=steps, batch=batch, learning_rate=learning_rate, seed=seed, threads=threads)
     data = read_dataset(dataset)
@@ -121,6 +115,18 @@ def train(
     result_figures = {"folder": str(out), "steps": steps, "seed": seed, "grasps": len(result.codebook)}
     result_figures |= {"hands": list(models), "objects": list(objects), "wall_s": wall_s, "cpu_s": cpu_s}
     return Outcome(result={**result_figures, "final_loss_m_per_code_unit": last})
+
+
+def _check_options(steps: int, learning_rate: float, *, mlp_only: Sequence[object]) -> None:
+    """Refuse options of the default field without sense, and those of the other."""
+    if any(option is not None for option in mlp_only):
+        raise InputError(
+            "--object, --minutes, --epochs and --device belong to --field mlp; the default field has none."
+        )
+    if steps < 1:
+        raise InputError(f"--steps is {steps}; expected at least 1.")
+    if not 0.0 < learning_rate <= 1.0:
+        raise InputError(f"--learning-rate is {learning_rate:g}; expected above 0, at most 1; 0.003 suits most data.")
 
 
 def hand_sources(dataset: Path, given: tuple[str, ...], names: list[str]) -> dict[str, str]:

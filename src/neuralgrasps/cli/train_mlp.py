@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from neuralgrasps.cli.models import dataset_hands, source_text, write_sources
 from neuralgrasps.cli.outputs import check_writable
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from neuralgrasps.dataset.read import GraspDataset
     from neuralgrasps.model.mlp_data import ObjectScenes
     from neuralgrasps.model.mlp_schedule import MlpTrainConfig
+    from neuralgrasps.model.mlp_train import MlpResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,11 +69,23 @@ def train_mlp_field(
         )  # fmt: skip
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu
     share = steps_now / max(len(result.losses), 1)
-    figures = {
-        "folder": str(out),
-        "field": "mlp",
-        "object": name,
-        "preset": options.preset,
+    figures: dict[str, Any] = {"folder": str(out), "field": "mlp", "object": name, "preset": options.preset}
+    figures |= _figures(config, scenes, result, wall_s=wall_s, share=share) | {"wall_s": wall_s, "cpu_s": cpu_s}
+    if is_first_worker():
+        figures |= _save(terminal, data, out, scenes, result, packed, figures)
+        write_sources(out, hands=_sources(dataset, hands, scenes.hands), objects={}, dataset=str(dataset.resolve()))
+        terminal.say(f"{counted(len(scenes), 'grasp')} on {name}, {result.samples:.3g} samples: {out}")
+        steps = f"{len(result.losses)}, {steps_now} of them now in {wall_s:.1f} s, CPU {cpu_s:.1f} s"
+        loss = f"{figures['final_sdf_loss']:.5f} (SDF, object and hand, normalised)"
+        terminal.facts([("steps", steps), ("loss, last 50 steps", loss), ("next", f"neuralgrasps evaluate {out}")])
+    return Outcome(result=figures)
+
+
+def _figures(
+    config: MlpTrainConfig, scenes: ObjectScenes, result: MlpResult, *, wall_s: float, share: float
+) -> dict[str, Any]:
+    """What was trained, and how fast; `share` of the steps were done in `wall_s`, others before."""
+    return {
         "scenes": len(scenes),
         "epochs": config.epochs,
         "points_per_scene": config.points_per_scene,
@@ -80,21 +93,7 @@ def train_mlp_field(
         "samples_per_s": share * result.samples / wall_s,
         "finished": result.finished,
         "threads": config.threads,
-        "wall_s": wall_s,
-        "cpu_s": cpu_s,
     }
-    if is_first_worker():
-        figures |= _save(terminal, data, out, scenes, result, packed, figures)
-        write_sources(out, hands=_sources(dataset, hands, scenes.hands), objects={}, dataset=str(dataset.resolve()))
-        terminal.say(f"{counted(len(scenes), 'grasp')} on {name}, {result.samples:.3g} samples: {out}")
-        terminal.facts(
-            [
-                ("steps", f"{len(result.losses)}, {steps_now} of them now in {wall_s:.1f} s, CPU {cpu_s:.1f} s"),
-                ("loss, last 50 steps", f"{figures['final_sdf_loss']:.5f} (SDF, object and hand, normalised)"),
-                ("next", f"neuralgrasps evaluate {out}"),
-            ]
-        )
-    return Outcome(result=figures)
 
 
 def _object_of(data: GraspDataset, given: str | None) -> str:

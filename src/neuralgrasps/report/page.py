@@ -148,10 +148,10 @@ def _asset(name: str) -> str:
     return (files("neuralgrasps") / "assets" / "report" / name).read_text(encoding="utf-8")
 
 
-def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, str, str]]:
-    """(anchor, title, HTML) of every section that has something to show."""
+def _picture_sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, str, bool, Callable[[], str]]]:
+    """Anchor, title, whether there is something to show, and what makes its HTML."""
     hands = f"{len(report.hands)} hands" if len(report.hands) != 1 else "One hand"
-    builders: list[tuple[str, str, bool, Callable[[], str]]] = [
+    return [
         (
             "transferred",
             "Query and grasps",
@@ -180,8 +180,12 @@ def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, s
         ),
         ("frames", "Frames", bool(report.frames), lambda: frames_section(report.frames, pictures)),
     ]
+
+
+def _sections(report: DemoReport, pictures: PictureEncoder) -> list[tuple[str, str, str]]:
+    """(anchor, title, HTML) of every section that has something to show."""
     sections = [] if report.demonstration is None else demonstration_sections(report.demonstration, pictures)
-    sections += [(name, title, build()) for name, title, shown, build in builders if shown]
+    sections += [(name, title, build()) for name, title, shown, build in _picture_sections(report, pictures) if shown]
     sections += [(f"part-{k}", part.title, _part(part, pictures)) for k, part in enumerate(report.parts, start=1)]
     numbers = _numbers(report)
     if numbers:
