@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from neuralgrasps.cli.bench_result import absent_figures, conditions
 from neuralgrasps.cli.terminal import Terminal
+
+if TYPE_CHECKING:
+    from neuralgrasps.model.checkpoint import Run
 
 QUICK_QUERIES = 2
 _NOTES = {
@@ -48,20 +52,45 @@ def bench_transfer(
             else the built-in seven.
         hands: of the run; default all. count: queries per hand and object; default 10, quick 2.
     """
-    from dataclasses import asdict
-
     from neuralgrasps.cli.bench_library import paper_objects
+    from neuralgrasps.evaluate.transfer_bench import TransferBenchConfig
+    from neuralgrasps.evaluate.transfer_bench import bench_transfer as measure
+    from neuralgrasps.evaluate.transfer_figures import FIGURES, transfer_figures, transfer_tables
+
+    run, chosen, known = _open_run(terminal, paper_objects(objects))
+    queries = count or (QUICK_QUERIES if quick else 10)
+    config = TransferBenchConfig(queries=queries, hands=tuple(hands), seed=seed)
+    with terminal.progress("transfer", "pairs") as bar:
+        bench = measure(run, config=config, objects=known, workers=workers, progress=bar)
+    figures, tables = transfer_figures(bench), transfer_tables(bench)
+    _show(terminal, tables)
+    objects_used = {name: run.field.object(name) for name in known}
+    shown = conditions(
+        config, objects_used, quick=quick, workers=workers, wall_s=bench.wall_s, transfers=len(bench.trials), run=chosen
+    )
+    failures = [
+        {"object": t.object, "source": t.source, "target": t.target, "query": t.query}
+        for t in bench.trials
+        if not t.held
+    ]
+    return {
+        "config": shown,
+        "figures": figures,
+        "absent": absent_figures(terminal, figures, FIGURES, {}),
+        "notes": _NOTES,
+        "table": tables,
+        "failures": failures,
+    }
+
+
+def _open_run(terminal: Terminal, sources: Sequence[str]) -> tuple[Run, str, list[str]]:
+    """The shipped run that knows most of the objects, its name, and which of them it knows."""
     from neuralgrasps.cli.evaluate import open_run
     from neuralgrasps.cli.evaluate_run import grasps_of
     from neuralgrasps.cli.models import open_objects
     from neuralgrasps.errors import InputError
-    from neuralgrasps.evaluate.transfer_bench import TransferBenchConfig
-    from neuralgrasps.evaluate.transfer_bench import bench_transfer as measure
-    from neuralgrasps.evaluate.transfer_figures import FIGURES, transfer_figures, transfer_tables
     from neuralgrasps.model.run_notes import read_notes, run_folder, shipped_runs
-    from neuralgrasps.parallel import available_cpus
 
-    sources = paper_objects(objects)
     with terminal.progress("reading the run"):
         models = open_objects(sources)
         names = {run: set(read_notes(run_folder(run)).objects) & set(models) for run in shipped_runs()}
@@ -71,30 +100,7 @@ def bench_transfer(
         given = tuple(s for s, model in zip(sources, models, strict=True) if model in names[chosen])
         run = open_run(run_folder(chosen), (), given)
     grasps_of(run, run_folder(chosen))
-    queries = count or (QUICK_QUERIES if quick else 10)
-    config = TransferBenchConfig(queries=queries, hands=tuple(hands), seed=seed)
-    with terminal.progress("transfer", "pairs") as bar:
-        bench = measure(run, config=config, objects=sorted(names[chosen]), workers=workers, progress=bar)
-    figures, tables = transfer_figures(bench), transfer_tables(bench)
-    _show(terminal, tables)
-    absent = {name: "not measured" for name in FIGURES if name not in figures}
-    shown = {
-        **asdict(config),
-        "quick": quick,
-        "workers": workers or available_cpus(),
-        "wall_s": bench.wall_s,
-        "transfers": len(bench.trials),
-        "objects": {name: run.field.object(name).provenance.get("source", "") for name in sorted(names[chosen])},
-        "run": chosen,
-    }
-    failures = [
-        {"object": t.object, "source": t.source, "target": t.target, "query": t.query}
-        for t in bench.trials
-        if not t.held
-    ]
-    return {
-        "config": shown, "figures": figures, "absent": absent, "notes": _NOTES, "table": tables, "failures": failures,
-    }  # fmt: skip
+    return run, chosen, sorted(names[chosen])
 
 
 def _show(terminal: Terminal, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
