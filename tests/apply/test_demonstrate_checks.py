@@ -1,13 +1,22 @@
-"""What is said of depth images in which an object was not found."""
+"""What is said of depth images and cameras with which an object is not found as it should be."""
 
 from __future__ import annotations
+
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from neuralgrasps.apply.demonstrate_checks import depth_trouble
-from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.apply.demonstrate_checks import camera_trouble, depth_trouble
+from neuralgrasps.geometry.camera import Intrinsics, look_at
+from neuralgrasps.geometry.mesh import Mesh, merge_meshes
+from neuralgrasps.geometry.primitives import box_mesh
+from neuralgrasps.geometry.raster import depth_images
+from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.frame import Frame
+from neuralgrasps.perception.object_video import follow_object
 
 CAMERA = Intrinsics(90.0, 95.0, 31.0, 22.0, 64, 48)
 
@@ -37,3 +46,44 @@ def test_depth_out_of_range_is_said(depth_m, hint):
     said = depth_trouble(_frames(depth_m))
     assert f"median depth there is {depth_m:.2f} m; expected 0.25 to 2 m: check the depth scale" in said
     assert said.endswith(f"{hint}.")
+
+
+@pytest.fixture(scope="module")
+def can():
+    """A can on a table as a camera sees it from 0.6 m away, and what a frame with another focal length makes of it."""
+    obj = load_object("tomato_soup_can")
+    X_WO = np.eye(4)
+    X_WO[2, 3] = -obj.mesh.vertices[:, 2].min()
+    vertices = obj.mesh.vertices @ X_WO[:3, :3].T + X_WO[:3, 3]
+    table = box_mesh([1.2, 1.2, 0.02])
+    scene = merge_meshes([Mesh(vertices, obj.mesh.faces), Mesh(table.vertices - [0, 0, 0.01], table.faces)])
+    k = Intrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
+    X_WC = look_at(np.array([0.45, 0.15, 0.40]), np.array([0.05, 0.0, 0.03]))
+    depth = depth_images(scene, inverse_np(X_WC)[None], k)[0]
+    depth = np.where(np.isfinite(depth), depth, 0.0)
+
+    def seen(factor):
+        return [Frame(depth, replace(k, fx=k.fx * factor, fy=k.fy * factor))]
+
+    return obj, seen
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.3])
+def test_a_focal_length_with_which_the_object_fits_much_better_is_named(can, factor):
+    obj, seen = can
+    frames = seen(factor)
+    said = camera_trouble(frames, obj, follow_object(frames, obj), nobody)
+    assert said.startswith(f"the intrinsics do not fit: with fx = {300 * factor:.0f} 'tomato_soup_can' explains")
+    assert float(re.search(r"with about (\d+) \d+ %", said)[1]) == pytest.approx(300, rel=0.08)
+
+
+def test_the_true_focal_length_is_not_doubted_nor_is_any_named_for_another_thing(can):
+    obj, seen = can
+    assert camera_trouble(seen(1.0), obj, follow_object(seen(1.0), obj), nobody) == ""
+    other = load_object("cracker_box")
+    found = follow_object(seen(1.0), other)
+    assert found.reason != "" and camera_trouble(seen(1.0), other, found, nobody) == ""
+
+
+def nobody(_):
+    return None

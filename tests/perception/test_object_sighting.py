@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -37,3 +39,11 @@ def test_the_pieces_that_a_finger_leaves_of_a_thing_are_one_thing(behind):
     found = sight(frame, 0, obj, hidden=hand)
     assert found.found and found.pose.confidence > 0.95
     assert pose_errors(obj, found.pose.X_CO, truth).mssd_m < 3e-3
+
+
+def test_a_part_that_another_pose_explains_in_part_is_not_enough_under_a_hand(behind):
+    obj, frame, hand, _ = behind("wedge", bar=[0.02, 0.05, 0.2], at=[0.1, 0.07, 0.1])
+    found = sight(frame, 0, obj, hidden=hand)
+    doubtful = replace(found.pose, confidence=0.95, score=0.89)
+    assert not replace(found, pose=doubtful).found
+    assert replace(found, pose=doubtful, hidden=False).found

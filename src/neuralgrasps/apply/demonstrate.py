@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from scipy import ndimage
 
-from neuralgrasps.apply.demonstrate_checks import depth_trouble
+from neuralgrasps.apply.demonstrate_checks import camera_trouble, depth_trouble
 from neuralgrasps.apply.demonstrate_rules import TableRules, table_support, transfer_under
 from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_grasp
@@ -138,6 +138,28 @@ def demonstrate(
             result says at which stage it failed, and why.
     """
     config = config or DemonstrateConfig()
+    _check(frames, joints)
+    if joints is None and detector is None:
+        detector, reader = load_hand_eyes(reader)
+    eyes, clock = _Eyes(detector=detector, reader=reader, joints=joints, side=side), _Clock()
+    begun = Demonstration(object=obj.name, hand=hand.name, seed=seed, stage="", reason="", seconds=clock.seconds)
+    shown = _watched(begun, frames, obj, eyes, config.watch, clock)
+    if shown.stage:
+        return shown
+    return _carried_over(shown, obj, hand, known, constraints, config, clock)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Eyes:
+    """What sees the hand; see `demonstrate`."""
+
+    detector: HandFinder | None
+    reader: JointSource | None
+    joints: Sequence[SeenJoints | None] | None
+    side: Side | None
+
+
+def _check(frames: Sequence[Frame], joints: Sequence[SeenJoints | None] | None) -> None:
     if not frames:
         raise InputError("there are no frames to watch; expected at least one.")
     if joints is not None and len(joints) != len(frames):
@@ -145,35 +167,47 @@ def demonstrate(
             f"joints are given for {len(joints)} frames, but there are {len(frames)}; give None for a gap."
         )
     camera_poses(frames)  # refused at once when the camera moves and some frames do not say where
-    if joints is None and detector is None:
-        detector, reader = load_hand_eyes(reader)
-    clock = _Clock()
-    so_far = Demonstration(object=obj.name, hand=hand.name, seed=seed, stage="", reason="", seconds=clock.seconds)
-    followed = follow_object(frames, obj, hidden=_hidden(frames, detector, reader, joints), seed=seed)
+
+
+def _watched(
+    so_far: Demonstration, frames: Sequence[Frame], obj: ObjectModel, eyes: _Eyes, watch: WatchConfig, clock: _Clock
+) -> Demonstration:
+    """The object and the hand over the frames."""
+    hidden = _hidden(frames, eyes.detector, eyes.reader, eyes.joints)
+    followed = follow_object(frames, obj, hidden=hidden, seed=so_far.seed)
+    camera = camera_trouble(frames, obj, followed, hidden, seed=so_far.seed)
     clock("object")
     so_far = replace(so_far, followed=followed, table_O=table_in_object(followed))
-    if followed.reason:
-        return replace(so_far, stage="object", reason=followed.reason + depth_trouble(frames))
+    if camera or followed.reason:
+        return replace(so_far, stage="object", reason=camera or followed.reason + depth_trouble(frames))
     track = watch_hand(
-        frames, detector=detector, reader=reader, joints=joints, obj=obj, X_CO=followed.X_CO, side=side,
-        table=_first_table(frames, followed), config=config.watch,
+        frames, detector=eyes.detector, reader=eyes.reader, joints=eyes.joints, side=eyes.side, obj=obj,
+        X_CO=followed.X_CO, table=_first_table(frames, followed), config=watch,
     )  # fmt: skip
     clock("hand")
     if followed.note:
         track = replace(track, reasons=(*track.reasons, followed.note))
-    if track.grasp is None:
-        return replace(so_far, track=track, stage=track.stage, reason=track.reason)
+    return replace(so_far, track=track, stage=track.stage, reason=track.reason)
+
+
+def _carried_over(
+    so_far: Demonstration, obj: ObjectModel, hand: Hand, known: GraspSet | None,
+    constraints: Constraint | TableRules | None, config: DemonstrateConfig, clock: _Clock,
+) -> Demonstration:  # fmt: skip
+    """The grasp that was seen as grasps of the robot's hand."""
+    track, followed = so_far.track, so_far.followed
+    assert track is not None and track.grasp is not None and followed is not None
     if track.grasp.confidence < config.least_confidence:
-        return replace(so_far, track=track, stage="grasp", reason=_doubtful(track.grasp))
+        return replace(so_far, stage="grasp", reason=_doubtful(track.grasp))
     human, X_OH = grasp_in_object(track.grasp, followed.X_CO[track.moment])
     query = query_from_grasp(human, obj, X_OH, track.grasp.q)
-    so_far = replace(so_far, track=track, human=human, X_OH=X_OH, q=track.grasp.q, query=query)
+    so_far = replace(so_far, human=human, X_OH=X_OH, q=track.grasp.q, query=query)
     try:
         rules = constraints(so_far.table_O) if callable(constraints) else constraints
     except InputError as error:  # no hand can meet them on an object that stands like this
         return replace(so_far, stage="transfer", reason=str(error))
     found = transfer_under(
-        query, hand, obj, known=known, config=config.transfer, constraints=rules, seed=seed,
+        query, hand, obj, known=known, config=config.transfer, constraints=rules, seed=so_far.seed,
         support=demonstration_support(obj, so_far.table_O) if config.on_table else None,
     )  # fmt: skip
     clock("transfer")

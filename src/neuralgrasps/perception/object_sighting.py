@@ -20,6 +20,7 @@ from neuralgrasps.perception.pose_search import NO_CONTACTS, search
 from neuralgrasps.perception.table import TableFit, find_table
 
 LEAST, LEAST_HIDDEN = 0.5, 0.8  # confidence that counts as found; the same where a person may be taken for the object
+_LEAST_SCORE_HIDDEN = 0.9  # and of the view so much must be explained there: a small part can look like another one
 _CLUSTERS, _LEAST_PIXELS = 3, 50
 _RIM = 3  # pixels: what lies so near to a person's outline may go on under it
 _ALIKE_M = 0.01  # mean distance of the surfaces of two poses that are one for whoever grasps
@@ -45,7 +46,9 @@ class Sighting:
     @property
     def found(self) -> bool:
         """Whether it is sure enough."""
-        return self.pose.confidence >= (LEAST_HIDDEN if self.hidden else LEAST)
+        if self.hidden:
+            return self.pose.confidence >= LEAST_HIDDEN and self.pose.score >= _LEAST_SCORE_HIDDEN
+        return self.pose.confidence >= LEAST
 
 
 def sight(

@@ -82,7 +82,8 @@ def follow_object(
     best = _best(frames, obj, seen)
     if best is None or not best.found:
         if best is not None:
-            reason = f"what stands there does not look like '{obj.name}': the confidence is {best.pose.confidence:.2f}."
+            reason = f"what stands there does not look like '{obj.name}': the confidence is {best.pose.confidence:.2f}"
+            reason += f", {100 * best.pose.score:.0f} % of the view is explained." if best.hidden else "."
         if all(hidden(k) is not None for k in range(len(frames))):
             reason += " A person is in every frame, and may hide it: show it for a moment before the hand comes."
         return _nowhere(len(frames), reason, best)
@@ -119,7 +120,7 @@ def _best(frames: Sequence[Frame], obj: ObjectModel, seen: Sequence[Sighting]) -
     """
     clear = [s for s in seen if not s.hidden and s.found]
     if len(clear) < 2:
-        return max(seen, key=lambda s: s.pose.confidence, default=None)
+        return max(seen, key=lambda s: (s.found, s.pose.confidence), default=None)
     X_WC = camera_poses(frames)
     shown = []
     for one in clear:

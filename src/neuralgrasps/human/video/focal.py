@@ -136,11 +136,11 @@ def _check(cost: dict[float, float]) -> FocalCheck:
         others = [cost[f] for f in cost if f != 1.0]
         sure = bool(others) and cost[1.0] <= _CLEAR * min(others)
         return FocalCheck(factor=1.0, residual_m=cost[1.0], best_m=cost[1.0], sure=sure)
-    return FocalCheck(factor=_refined(cost, factor), residual_m=cost[1.0], best_m=cost[factor], sure=False)
+    return FocalCheck(factor=parabola_factor(cost, factor), residual_m=cost[1.0], best_m=cost[factor], sure=False)
 
 
-def _refined(cost: dict[float, float], best: float) -> float:
-    """The lowest point of the parabola through the best factor and its neighbours, over the logarithm."""
+def parabola_factor(cost: dict[float, float], best: float) -> float:
+    """The factor at the lowest point of the parabola through the best factor and its neighbours, over the logarithm."""
     tried = sorted(cost)
     place = tried.index(best)
     near = tried[max(place - 1, 0) : place + 2]
