@@ -71,6 +71,21 @@ def test_the_grasp_is_in_the_object_frame_wherever_the_camera_is(found, videos):
     assert above == pytest.approx(height, abs=0.015)  # of the hand's base over the table
 
 
+def test_the_query_is_the_contact_map_of_the_persons_grasp(found, can):
+    expected = query_from_grasp(found.human, can, found.X_OH, found.track.grasp.q)
+    np.testing.assert_array_equal(found.query.contact_map, expected.contact_map)
+    np.testing.assert_array_equal(found.q, found.track.grasp.q)
+
+
+def test_a_side_that_is_given_is_taken(can, known, videos):
+    nothing = DemonstrateConfig(least_confidence=1.1)  # ends after the hand
+    video = videos[0]
+    told = demonstrate(
+        video.frames, can, load_hand("fetch"), joints=video.seen, known=known, side="left", config=nothing
+    )
+    assert told.track.side == "left"
+
+
 def test_grasps_through_the_table_are_left_out(found, can):
     support = demonstration_support(can, found.table_O)
     grasps = found.grasps
