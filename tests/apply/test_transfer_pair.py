@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
+from neuralgrasps.apply.transfer import TransferConfig, transfer
 from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
-from neuralgrasps.apply.transfer_query import query_from_contacts, query_from_grasp
+from neuralgrasps.apply.transfer_query import query_from_contacts, query_from_grasp, query_from_points
+from neuralgrasps.apply.transfer_search import rank_known
 from neuralgrasps.geometry.mesh import Mesh
 from neuralgrasps.geometry.primitives import convex_hull
+from neuralgrasps.grasps.grasp_set import GraspSet
 from neuralgrasps.hands.zoo import load_hand
 from tests.apply.conftest import BoxWorld
 
@@ -63,3 +66,43 @@ def test_a_target_keeps_weights_and_the_inverse_radius(box_world: BoxWorld):
     assert target.inv_radius == pytest.approx(1.0 / query.radius_m)
     assert target.weight.mean() == pytest.approx(1.0)
     np.testing.assert_allclose(target.weight / target.weight[0], query.weight[rows] / query.weight[rows[0]])
+
+
+def test_known_grasps_are_turned_as_the_symmetry_turns(prism):
+    """A query that is a known grasp turned by 120 degrees is that grasp, turned so, and not by 240."""
+    hand = load_hand("panda")
+    pair = transfer_pair(hand, prism, "dexgraspbench-quick")
+    X_OP = np.eye(4)
+    X_OP[:3, :3] = np.array([[0, 0, -1.0], [1, 0, 0], [0, -1, 0]])  # the palm looks along -x
+    X_OP[:3, 3] = [0.06, 0.01, 0.03]
+    X_OH = (X_OP @ np.linalg.inv(hand.X_HP))[None]
+    left, _, right = np.linalg.svd(X_OH[:, :3, :3])
+    X_OH[:, :3, :3] = left @ right
+    q, none = hand.q_open[None], np.zeros((1, 0, 3))
+    known = GraspSet(
+        hand=hand.name, object=prism.name, X_OH=X_OH, q=q, q_pregrasp=q, q_squeeze=q, contact_points_O=none,
+        contact_normals_O=none, contact_links=np.zeros((1, 0), np.int32), epsilon=np.zeros(1),
+        penetration_m=np.zeros(1),
+    )  # fmt: skip
+    for X in prism.symmetry.rotations:
+        query = query_from_grasp(hand, prism, X @ X_OH[0], q[0])
+        maps = known_maps(pair, known, query.radius_m)
+        ranked = rank_known(
+            pair, query, target_of(query), maps, count=1, turn=True, allows=lambda X_OH, rows: np.ones(len(rows), bool)
+        )
+        assert ranked.difference[0] < 1e-3
+        np.testing.assert_allclose(ranked.X_OH[0], X @ X_OH[0], atol=2e-3)
+
+
+@pytest.mark.parametrize("drawn", [False, True])
+def test_similarity_zero_is_the_farthest_there_is(box_world: BoxWorld, drawn: bool):
+    hand, obj = box_world.hand, box_world.obj
+    grasps = box_world.grasps[:1] if drawn else box_world.grasps
+    corner = obj.points_O[np.argsort(obj.points_O @ np.array([1.0, 1.0, 1.0]))[-6:]]
+    query = query_from_contacts(obj, corner) if drawn else query_from_points(obj, obj.points_O)  # touched all over
+    result = transfer(query, hand, obj, known=grasps, config=TransferConfig(method="retrieve", count=1))
+    maps = known_maps(transfer_pair(hand, obj, "dexgraspbench"), grasps, query.radius_m).maps
+    widest = max(np.abs(a - b).mean() for a in maps for b in maps)
+    own = max(np.average(np.abs(a - query.contact_map), weights=query.weight) for a in maps)
+    assert own > widest * 1.05
+    assert result.scale == pytest.approx(own, rel=1e-5)
