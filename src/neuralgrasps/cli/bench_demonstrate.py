@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from neuralgrasps.cli.bench_library import open_library, paper_objects
+from neuralgrasps.cli.bench_result import absent_figures, conditions, with_options
 from neuralgrasps.cli.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -58,32 +59,18 @@ def bench_demonstrate(
     from neuralgrasps.evaluate.demonstrate_bench import QUICK, DemonstrateBenchConfig
     from neuralgrasps.evaluate.demonstrate_bench import bench_demonstrate as measure
     from neuralgrasps.evaluate.demonstrate_figures import demonstrate_figures, demonstrate_tables, figure_names
-    from neuralgrasps.parallel import available_cpus
 
-    config = replace(QUICK if quick else DemonstrateBenchConfig(), seed=seed)
-    if count is not None:
-        config = replace(config, videos=count, hidden=count)
-    sources = paper_objects(objects)
-    library, models = open_library(terminal, sources)
+    config = with_options(QUICK if quick else DemonstrateBenchConfig(), seed=seed, videos=count, hidden=count)
+    library, models = open_library(terminal, paper_objects(objects))
     with terminal.progress("demonstrations", "tasks") as bar:
         bench = measure(library, config=config, workers=workers, progress=bar)
     figures, tables = demonstrate_figures(bench), demonstrate_tables(bench)
     _show(terminal, tables)
-    absent = {name: "not measured" for name in figure_names(hidden=config.hidden > 0) if name not in figures}
-    for name, why in absent.items():
-        terminal.say(f"absent: {name}: {why}")
-    shown = {
-        **asdict(config),
-        "quick": quick,
-        "workers": workers or available_cpus(),
-        "wall_s": bench.wall_s,
-        "objects": {name: obj.provenance.get("source", "") for name, obj in models.items()},
-        "run": library.run,
-    }
+    expected = figure_names(hidden=config.hidden > 0)
     return {
-        "config": shown,
+        "config": conditions(config, models, quick=quick, workers=workers, wall_s=bench.wall_s, run=library.run),
         "figures": figures,
-        "absent": absent,
+        "absent": absent_figures(terminal, figures, expected, {}),
         "notes": _NOTES,
         "table": tables,
         "videos": _plain(bench.videos),
