@@ -29,7 +29,7 @@ class HandFitConfig:
     points: int = 400
     joint_sd_m: float = 0.017
     joint_width_m: float = 0.025
-    cloud_sd_m: float = 0.003
+    cloud_sd_m: float = 0.002
     cloud_width_m: float = 0.006
     first_width_m: float = 0.03
     free_sd_m: float = 0.01
