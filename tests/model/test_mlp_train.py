@@ -370,7 +370,7 @@ def test_two_processes_train_one_model_on_different_batches() -> None:
         for k in range(2)
     ]
     try:
-        told = [json.loads(p.communicate(timeout=100)[0].splitlines()[-1]) for p in processes]
+        told = [json.loads(p.communicate(timeout=300)[0].splitlines()[-1]) for p in processes]
     finally:
         for process in processes:
             process.kill()
