@@ -98,7 +98,7 @@ def test_the_same_act_is_seen_well_and_badly_and_the_seed_decides_the_rest(brick
 
 def test_a_share_that_no_view_shows_is_said_so(brick):
     recorded = record_demonstration(brick, seed=0, config=config((1e-4, 1.1e-4)))
-    assert any("no view tried shows 0.01 to 0.02" in note for note in recorded.truth.notes)
+    assert any("no view tried shows 0.0001 to 0.00011 of" in note for note in recorded.truth.notes)
 
 
 @pytest.mark.parametrize("share", [(0.0, 0.5), (0.6, 0.4), (0.5, 1.1)])
