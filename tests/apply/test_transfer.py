@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from neuralgrasps.apply.transfer import FAST, TransferConfig, TransferResult, made_grasps, transfer
+from neuralgrasps.apply.transfer import TransferConfig, TransferResult, made_grasps, transfer
+from neuralgrasps.apply.transfer_kernels import margins
 from neuralgrasps.apply.transfer_order import Candidate, Order
 from neuralgrasps.apply.transfer_pair import forget, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_contacts, query_from_grasp
 from neuralgrasps.apply.transfer_reasons import squeezed_width, touched_sides
 from neuralgrasps.apply.transfer_search import SearchConfig
+from neuralgrasps.apply.transfer_verdicts import verdict_of, whole_trial
 from neuralgrasps.errors import InputError, UnknownNameError
 from neuralgrasps.geometry.plane import Plane
 from neuralgrasps.geometry.primitives import box_mesh
@@ -48,7 +50,7 @@ def check(result: TransferResult, query: TransferQuery, hand: Hand, obj: ObjectM
     """What every result must be, found out anew."""
     count = len(result.grasps)
     assert count == len(result.similarity) == len(result.origin) == len(result.reasons) == len(result.source)
-    assert (np.diff(result.similarity) <= 1e-12).all()
+    assert (np.diff(result.similarity - result.weak) <= 1e-12).all() and (result.weak >= 0.0).all()
     assert validate_grasps(hand, obj, result.grasps, config.protocol).success.all() and result.grasps.validated.all()
     packed = transfer_pair(hand, obj, config.protocol).problem.packed
     maps = contact_map_packed(obj.points_O, packed, result.grasps.X_OH, result.grasps.q, radius=query.radius_m)
@@ -70,6 +72,37 @@ def test_a_known_grasp_is_found_again_and_new_ones_follow(box_world: BoxWorld, q
     assert result.reasons[0].startswith("closest contacts, ") and "against 1.00 of the best known" in result.reasons[0]
     assert "contacts number 2 in closeness" in result.reasons[1]
     assert "3 grasps by panda on brick" in repr(result)
+
+
+def test_what_slips_easily_comes_later(box_world: BoxWorld, query: TransferQuery) -> None:
+    def asked(robust: float) -> TransferResult:
+        config = replace(SHORT, robust=robust, count=5)
+        return transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=config)
+
+    alike, sturdy = asked(0.0), asked(1.0)
+    assert (np.diff(alike.similarity) <= 1e-12).all() and (alike.weak == 0.0).all()
+    check(sturdy, query, box_world.hand, box_world.obj, replace(SHORT, robust=1.0))
+    cone = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench").slippery
+    held = [
+        margins(cone, r.grasps.contact_points_O, r.grasps.contact_normals_O, r.grasps.contact_links)
+        for r in (alike, sturdy)
+    ]
+    assert held[1][:3].min() > 1.5 * held[0][:3].min() and held[1][:3].min() > held[1][3:].max()
+    with pytest.raises(InputError, match="robust is -1"):
+        TransferConfig(robust=-1.0)
+
+
+def test_what_the_whole_trial_held_is_not_tried_again(box_world: BoxWorld, query: TransferQuery) -> None:
+    assert set(box_world.grasps.verdicts) == {"dexgraspbench"} and box_world.grasps.validated.all()
+    config = replace(SHORT, method="retrieve")
+    assert config.protocol == "dexgraspbench-quick" and whole_trial(config.protocol) == "dexgraspbench"
+    assert whole_trial("shake") == "shake"
+    result = transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=config)
+    assert result.tried == 0 and result.grasps.protocol == config.protocol and len(result.grasps) == 3
+    again = validate_grasps(box_world.hand, box_world.obj, box_world.grasps, config.protocol)
+    derived = verdict_of(box_world.hand, box_world.obj, box_world.grasps, config.protocol)[config.protocol]
+    assert again.success.all() and dict(derived.parameters) == dict(again.parameters)
+    assert (again.displacement_m <= derived.displacement_m).all()  # it ends before the whole one
 
 
 def test_generation_beats_what_is_known(box_world: BoxWorld, query: TransferQuery) -> None:
@@ -138,7 +171,7 @@ def test_rules_that_allow_nothing_are_named(box_world: BoxWorld, query: Transfer
 
 
 def test_what_does_not_hold_is_not_given_but_named(box_world: BoxWorld, query: TransferQuery, monkeypatch) -> None:
-    pair = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench")
+    pair = transfer_pair(box_world.hand, box_world.obj, SHORT.protocol)
     run = pair.trial.run
     monkeypatch.setattr(type(pair.trial), "run", lambda self, *args: replace(run(*args), success=False))
     config = replace(SHORT, method="generate", trials=2)
@@ -152,7 +185,7 @@ def test_hand_and_object_that_nobody_has_seen(
 ) -> None:
     obj = make_object("slab", box_mesh([0.02, 0.04, 0.05]))
     hand = load_hand("fetch")
-    config = replace(FAST, synthesise=4)
+    config = TransferConfig(count=1, synthesise=4, search=SearchConfig(generations=0, starts=6))
     made = made_grasps(hand, obj, config, support=None, seed=0)
     assert len(made) == 4 and made_grasps(hand, obj, config, support=None, seed=0) is made
     query = query_from_grasp(hand, obj, made.X_OH[2], made.q[2])
@@ -188,7 +221,8 @@ def test_a_grasp_that_the_hand_cannot_make_is_explained(
     assert squeezed_width(query, pair.problem) == pytest.approx(0.12, abs=2e-3)
     assert touched_sides(query, pair.problem) == 2
     assert touched_sides(query_from_contacts(obj, obj.points_O[::5]), pair.problem) == 6
-    result = transfer(query, box_world.hand, obj, config=replace(FAST, synthesise=4, count=1))
+    config = TransferConfig(count=1, synthesise=4, search=SearchConfig(generations=0, starts=6))
+    result = transfer(query, box_world.hand, obj, config=config)
     assert "The query holds 'crate' across 120 mm, hand 'panda' opens 80 mm" in result.reason
     assert len(result.grasps) == 1 and f"similarity {result.similarity[0]:.2f}" in result.reason
     assert "the nearest feasible grasp" in result.reason

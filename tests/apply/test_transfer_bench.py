@@ -58,7 +58,7 @@ def test_the_benchmark_measures_what_it_says(run: Run) -> None:
         assert trial.similarity >= max(trial.retrieved, trial.generated_alone) - 1e-9
         assert trial.oracle == pytest.approx(trial.oracle_plain)  # the brick of this test has no symmetry
         assert trial.retrieved <= trial.oracle + 1e-6
-        assert trial.cpu_s > 0 and trial.fast_cpu_s > 0
+        assert trial.cpu_s > 0
     figures = transfer_figures(bench)
     assert set(figures) <= set(FIGURES) and figures["transfer_success"] == 1.0
     assert "transfer_other_hand_similarity_minus_oracle" not in figures  # there is no other hand
@@ -102,7 +102,7 @@ def test_figures_leave_out_what_was_not_found(run: Run) -> None:
     assert figures["transfer_without_result"] == 1.0 and transfer_figures(bench)["transfer_without_result"] == 0.0
     assert figures["transfer_similarity_minus_oracle"] == pytest.approx(np.mean(over))
     assert figures["transfer_similarity_missing_as_zero_minus_oracle"] == pytest.approx(np.mean([*over, 0.0 - 0.5]))
-    assert "transfer_fast_s" not in figures and "retrieve_alone_similarity" not in figures
+    assert "retrieve_alone_similarity" not in figures
 
 
 def test_a_run_without_unseen_grasps_is_refused(run: Run) -> None:

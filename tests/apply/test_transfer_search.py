@@ -4,15 +4,18 @@ import numpy as np
 import pytest
 
 from neuralgrasps.apply.transfer_descent import descend, evaluate_descent, map_problem, new_descent
-from neuralgrasps.apply.transfer_kernels import FAR, map_differences, search_starts
+from neuralgrasps.apply.transfer_kernels import FAR, Sturdy, map_differences, margins, search_starts, weakness
 from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import query_from_grasp
 from neuralgrasps.apply.transfer_search import SearchConfig, rank_known, search
 from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.se3_numpy import axis_angle_matrix
+from neuralgrasps.grasps.epsilon import epsilon
+from neuralgrasps.grasps.force_qp import contact_forces
+from neuralgrasps.grasps.wrench_space import grasp_wrenches
 from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.seeds import child_rng
-from neuralgrasps.synthesis.candidates import VALID
+from neuralgrasps.synthesis.candidates import CONE_EDGES, VALID
 from tests.apply.conftest import BoxWorld
 
 
@@ -83,17 +86,17 @@ def test_the_descent_finds_back_to_the_map_it_is_asked_for(box_world: BoxWorld, 
 
 def test_starts_that_close_farther_than_the_limit_are_not_judged(box_world: BoxWorld, asked) -> None:
     pair, _, _, sparse = asked
-    difference, epsilon, outcome = np.empty(8), np.empty(8), np.empty(8, np.int8)
-    limit = np.inf
+    difference, weak, outcome = np.empty(8), np.empty(8), np.empty(8, np.int8)
+    limit, sturdy = np.inf, Sturdy(pair.slippery, 0.05, 0.0, 0.0)
     for _ in range(2):
         X, q = box_world.grasps.X_OH.copy(), box_world.grasps.q.copy()
         search_starts(
-            pair.searching.arrays, sparse, pair.hands, limit, 0.0, X, q, difference, epsilon, outcome
+            pair.searching.arrays, sparse, pair.hands, sturdy, np.full(1, limit), False, X, q, difference, weak, outcome
         )  # fmt: skip
-        assert outcome[0] == VALID and difference[0] < 0.02 and epsilon[0] > 0.0
+        assert outcome[0] == VALID and difference[0] < 0.02
         far = difference >= limit
         limit = float(np.median(difference))
-        assert ((outcome == FAR) == far).all() and (epsilon[far] == 0.0).all()
+        assert ((outcome == FAR) == far).all()
     assert far.sum() == 4  # of the second round; some lie less than twice the limit away
     assert (difference[far] < 1.9 * difference[~far].max()).any()
 
@@ -113,10 +116,11 @@ def test_known_grasps_are_ranked_by_their_maps(box_world: BoxWorld, asked) -> No
 def test_a_search_starts_anywhere_and_obeys_its_rules(box_world: BoxWorld, asked) -> None:
     pair, _, _, sparse = asked
     X, q = box_world.grasps.X_OH[4:7], box_world.grasps.q[4:7]
+    sturdy = Sturdy(pair.slippery, 0.05, 0.0, 0.02)
 
     def found(config: SearchConfig, rule) -> np.ndarray:
         return search(
-            pair, sparse, X, q, config=config, allows=rule, keep=10, rng=child_rng(0, "test")
+            pair, sparse, X, q, config=config, sturdy=sturdy, allows=rule, keep=10, rng=child_rng(0, "test")
         ).difference  # fmt: skip
 
     def everything(X_OH: np.ndarray, joints: np.ndarray) -> np.ndarray:
@@ -126,6 +130,7 @@ def test_a_search_starts_anywhere_and_obeys_its_rules(box_world: BoxWorld, asked
     start = map_differences(pair.problem.packed, sparse, X, q)
     assert long.min() <= short.min() < start.min()
     assert (np.diff(long) >= 0).all()
+    assert np.array_equal(found(SearchConfig(closed=16), None)[:10], long[:10])  # none of the best is dropped
     assert len(found(SearchConfig(), lambda X_OH, joints: np.zeros(len(joints), bool))) == 0
 
 
@@ -133,3 +138,22 @@ def test_settings_without_sense_are_refused() -> None:
     for wrong in ({"starts": 0}, {"children": 0}, {"shift_m": -1.0}, {"shrink": float("nan")}):
         with pytest.raises(InputError, match=next(iter(wrong))):
             SearchConfig(**wrong)
+
+
+def test_margins_are_epsilon_or_what_is_left_unbalanced(box_world: BoxWorld, asked) -> None:
+    pair, grasps = asked[0], box_world.grasps
+    cone = pair.slippery
+    found = margins(cone, grasps.contact_points_O, grasps.contact_normals_O, grasps.contact_links)
+    alone = grasps.contact_links.copy()
+    alone[:, 1:] = -1  # one contact squeezes nothing
+    slips = margins(cone, grasps.contact_points_O, grasps.contact_normals_O, alone)
+    for i in range(len(grasps)):
+        count = int((grasps.contact_links[i] >= 0).sum())
+        points, normals = grasps.contact_points_O[i, :count], grasps.contact_normals_O[i, :count]
+        friction = cone.friction, CONE_EDGES, cone.torsion, cone.length
+        assert found[i] == pytest.approx(epsilon(grasp_wrenches(points, normals, cone.com, *friction)), abs=1e-9)
+        left = contact_forces(points[:1], normals[:1], cone.com, *friction).residual
+        assert slips[i] == pytest.approx(-left, abs=1e-9) and slips[i] < -0.5 < 0.0 < found[i]
+    sturdy = Sturdy(cone, usual=0.1, give=0.02, least_epsilon=0.0)
+    worth = [weakness(sturdy, margin) for margin in (0.2, 0.1, 0.05, 0.0, -1.0)]
+    assert worth == pytest.approx([0.0, 0.0, 0.01, 0.02, 0.04])

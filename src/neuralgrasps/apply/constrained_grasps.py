@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from neuralgrasps.apply.constraints import GraspConstraints
+from neuralgrasps.apply.transfer_verdicts import verdict_of
 from neuralgrasps.grasps.grasp_set import GraspSet, concatenate
 from neuralgrasps.hands.fingerprint import fingerprint
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
-from neuralgrasps.sim.validate import current_verdicts, not_let_fall
+from neuralgrasps.sim.validate import not_let_fall
 from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
@@ -86,5 +87,4 @@ def aimed_object(constraints: GraspConstraints) -> ObjectModel | None:
 def _judged_by(hand: Hand, obj: ObjectModel, grasps: GraspSet, protocol: str) -> GraspSet:
     """The grasps that may hold, with the verdict of one protocol if they have it with the numbers of today."""
     grasps = not_let_fall(hand, obj, grasps)
-    verdicts = {name: v for name, v in current_verdicts(hand, obj, grasps).items() if name == protocol}
-    return replace(grasps, verdicts=verdicts, protocol=protocol)
+    return replace(grasps, verdicts=verdict_of(hand, obj, grasps, protocol), protocol=protocol)

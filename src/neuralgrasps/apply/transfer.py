@@ -3,7 +3,7 @@
 Known grasps that touch it alike are looked for first, in every orientation that the object cannot tell apart
 (retrieval). The best of them are then moved down the difference of the contact maps, closed, varied, and moved and
 closed again (generation). Candidates are tried in physics in the order of their likeness, as many as it takes: what
-comes first is the most alike that holds.
+comes first is the most alike that holds. One that slips easily counts as a little less alike (`TransferConfig.robust`).
 
 The number: `similarity` is 1 - d / scale, d the mean absolute difference of two contact maps over the object's contact
 points (weighted, for drawn contacts), and scale the largest d from the query to a known grasp or between two known
@@ -14,38 +14,41 @@ grasps: 1 for equal maps, 0 for the farthest there are. It is the published meas
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from neuralgrasps.apply.transfer_config import FAST, Constraint, Method, TransferConfig
+from neuralgrasps.apply.transfer_config import Constraint, Method, TransferConfig
+from neuralgrasps.apply.transfer_kernels import Sturdy, weakness
 from neuralgrasps.apply.transfer_order import Candidate, Order
 from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.apply.transfer_reasons import why_here, why_short, why_unlike
 from neuralgrasps.apply.transfer_search import Ranked, SearchConfig, rank_known, search
+from neuralgrasps.apply.transfer_verdicts import verdict_of
 from neuralgrasps.errors import InputError
 from neuralgrasps.grasps.grasp_set import GraspSet, concatenate, empty_grasps
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.planning.grasp_cache import pair_fingerprint, remembered
 from neuralgrasps.seeds import child_rng
-from neuralgrasps.sim.validate import check_pair, current_verdicts, not_let_fall
+from neuralgrasps.sim.validate import check_pair, not_let_fall
 from neuralgrasps.synthesis.support import Support
 from neuralgrasps.synthesis.synthesise import SynthesisConfig, synthesise
 
 __all__ = [
-    "FAST", "Constraint", "Method", "SearchConfig", "TransferConfig", "TransferResult", "made_grasps", "transfer",
+    "Constraint", "Method", "SearchConfig", "TransferConfig", "TransferResult", "made_grasps", "transfer",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransferResult:
-    """Grasps of one hand that touch an object like the query, those most alike first.
+    """Grasps of one hand that touch an object like the query; `similarity` less `weak` falls.
 
     Attributes:
         grasps: N of them, each held by the protocol; `grasps.verdicts` has the trial.
         similarity: (N,) see the module; map_difference: (N,) the mean absolute difference it is of.
+        weak: (N,) similarity that each counts as less alike by for slipping easily, see `TransferConfig.robust`.
         origin: N times "retrieved" or "generated". source: (N,) place in the known set that each is or comes from, -1:
             the query's palm.
         reasons: why each is there, in words.
@@ -70,6 +73,7 @@ class TransferResult:
     reason: str
     nearest: GraspSet
     nearest_similarity: float
+    weak: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     def __repr__(self) -> str:
         best = f", similarity {self.similarity[0]:.2f}" if len(self.grasps) else ""
@@ -145,6 +149,9 @@ class _Transfer:
         self.full, self.sparse = target_of(query), target_of(query, self.pair.sparse)
         usual = float(np.median(self.grasps.epsilon)) if len(self.grasps) else 0.0
         least = max(config.search.least_epsilon, config.sturdy * usual)
+        margin = float(np.median(self.known.margins)) if len(self.grasps) else 0.0
+        give = config.robust * self._scale() if margin > 0.0 else 0.0
+        self.sturdy = Sturdy(self.pair.slippery, max(margin, 1e-6), give, least)
         self.order = Order(self.pair, self.full, config, self._allows, least_epsilon=least, seed=seed)
 
     def run(self) -> TransferResult:
@@ -190,12 +197,14 @@ class _Transfer:
     def _add_known(self, ranked: Ranked) -> None:
         """Those that stay as they are need no trial where they have had the same; turned ones are closed and tried."""
         protocol = self.config.protocol
-        current = {n: v for n, v in current_verdicts(self.hand, self.obj, self.grasps).items() if n == protocol}
-        known = replace(self.grasps, verdicts=current, protocol=protocol, config={})
+        verdicts = verdict_of(self.hand, self.obj, self.grasps, protocol)
+        known = replace(self.grasps, verdicts=verdicts, protocol=protocol, config={})
         for i, row in enumerate(ranked.row):
+            weak = 0.0 if self.config.method == "retrieve" else float(weakness(self.sturdy, self.known.margins[row]))
             item = Candidate(
-                "retrieved", int(row), int(ranked.symmetry[i]), ranked.X_OH[i], ranked.q[i], float(ranked.difference[i])
-            )
+                "retrieved", int(row), int(ranked.symmetry[i]), ranked.X_OH[i], ranked.q[i],
+                float(ranked.difference[i]), weak,
+            )  # fmt: skip
             if item.symmetry == 0:
                 item.grasp = known[int(row)]
                 item.proven = bool(item.grasp.validated[0])
@@ -206,15 +215,17 @@ class _Transfer:
         if len(q) == 0:
             return
         rng = child_rng(self.seed, "transfer", self.hand.name, self.obj.content_hash)
-        keep = max(2 * self.config.count, 10)
-        config = replace(self.config.search, least_epsilon=self.order.least_epsilon)
-        found = search(self.pair, self.sparse, X_OH, q, config=config, allows=self._allows, keep=keep, rng=rng)
+        keep = 4 if self.config.count == 1 else max(4 * self.config.count, 20)  # some will be too near to others
+        found = search(
+            self.pair, self.sparse, X_OH, q, config=self.config.search, sturdy=self.sturdy,
+            allows=self._allows if self.rules else None, keep=keep, rng=rng,
+        )  # fmt: skip
         for i in range(min(len(found), keep * 4)):
             start = int(found.origin[i])
             self.order.add(
                 Candidate(
                     "generated", int(rows[start]), int(turns[start]), found.X_OH[i], found.q[i],
-                    float(found.difference[i]),
+                    float(found.difference[i]), float(found.weak[i]),
                 )
             )  # fmt: skip
 
@@ -242,28 +253,35 @@ class _Transfer:
             float(1.0 - r.difference[0] / scale) if len(r.row) else float("nan") for r in (ranked, plain)
         )
         nearest = min(self.order.failed, key=lambda c: c.difference) if self.order.failed and not chosen else None
-        config = self.config
-        said: list[str] = []
-        if not chosen or similarity[0] < config.alike:
-            said.append(why_unlike(self.query, self.pair.problem, float(similarity[0]) if chosen else None))
-        if len(chosen) < config.count:
-            short = why_short(
-                config, found=len(chosen), tried=self.order.tried, known=self.grasps, allowed=len(ranked.row),
-                ruled=bool(self.rules),
-            )  # fmt: skip
-            said.append(short)
         return TransferResult(
             grasps=concatenate([c.grasp for c in chosen if c.grasp is not None]) if chosen else none,
             similarity=similarity,
             map_difference=difference,
             origin=tuple(c.origin for c in chosen),
             source=np.array([c.source for c in chosen], np.int64),
-            reasons=tuple(why_here(i, c, similarity[i], oracle, config.protocol) for i, c in enumerate(chosen)),
+            reasons=tuple(
+                why_here(int((similarity > s).sum()), c, s, oracle, self.config.protocol)
+                for c, s in zip(chosen, similarity, strict=True)
+            ),
             oracle=oracle,
             oracle_plain=oracle_plain,
             scale=scale,
             tried=self.order.tried,
-            reason=" ".join(f"{text[0].upper()}{text[1:]}." for text in said),
+            reason=self._reason(chosen, similarity, ranked),
             nearest=none if nearest is None or nearest.grasp is None else nearest.grasp,
             nearest_similarity=float("nan") if nearest is None else 1.0 - nearest.difference / scale,
+            weak=np.array([c.weak for c in chosen], np.float64) / scale,
         )
+
+    def _reason(self, chosen: list[Candidate], similarity: np.ndarray, ranked: Ranked) -> str:
+        """Why the answer is not all that was asked for, in sentences."""
+        config, said = self.config, []
+        if not chosen or similarity.max() < config.alike:
+            said.append(why_unlike(self.query, self.pair.problem, float(similarity.max()) if chosen else None))
+        if len(chosen) < config.count:
+            short = why_short(
+                config, found=len(chosen), tried=self.order.tried, known=self.grasps, allowed=len(ranked.row),
+                ruled=bool(self.rules),
+            )  # fmt: skip
+            said.append(short)
+        return " ".join(f"{text[0].upper()}{text[1:]}." for text in said)

@@ -18,6 +18,7 @@ from neuralgrasps.sim.validate import verdict_parameters
 from neuralgrasps.synthesis.candidates import VALID, Candidates
 from neuralgrasps.synthesis.finish import finish_grasps
 from neuralgrasps.synthesis.select import grasp_features
+from neuralgrasps.synthesis.settle import settle
 
 _ROUGH = 0.97  # differences at some points only, before settling, are about so sure: finish before ruling out
 _FOR_OTHERS = 0.75  # of the trials may go to sources that have given little; the rest is for the most alike
@@ -32,8 +33,9 @@ class Candidate:
     Attributes:
         origin: "retrieved" or "generated". source: place in the known set, -1: the query's palm. symmetry: by which
             rotation of the object it was turned, 0: none.
-        X_OH: (4, 4); q: (J,) closed. grasp: once it is finished. difference: of its contact map from the query's.
-        proven: it held.
+        X_OH: (4, 4); q: (J,) closed. difference: of its contact map from the query's. weak: what it counts as that it
+            holds worse than usual, in the same unit.
+        settled: X_OH, q and difference are those of the settled hand. grasp: once it is finished. proven: it held.
     """
 
     origin: str
@@ -42,6 +44,8 @@ class Candidate:
     X_OH: np.ndarray
     q: np.ndarray
     difference: float
+    weak: float = 0.0
+    settled: bool = False
     grasp: GraspSet | None = None
     proven: bool = False
 
@@ -74,9 +78,13 @@ class Order:
 
     def add(self, candidate: Candidate) -> None:
         """Queue a candidate."""
-        key = candidate.difference if candidate.grasp is not None else _ROUGH * candidate.difference
-        heapq.heappush(self._queue, (key, len(self._items)))
         self._items.append(candidate)
+        self._queue_again(len(self._items) - 1)
+
+    def _queue_again(self, index: int) -> None:
+        item = self._items[index]
+        rough = 1.0 if item.grasp is not None or item.settled else _ROUGH
+        heapq.heappush(self._queue, (rough * item.difference + item.weak, index))
 
     def best(self, count: int) -> list[Candidate]:
         """Up to `count` that hold, the most alike first, apart from each other, and few from one source.
@@ -103,13 +111,13 @@ class Order:
             if apart < least_m:
                 continue
             if item.grasp is None:  # it keeps its place only if its finished self is as near
-                if self._finish(item):
-                    heapq.heappush(self._queue, (item.difference, index))
+                if self._finish(item) if item.settled else self._settle(item):
+                    self._queue_again(index)
             elif item.proven or self._prove(item):
                 chosen.append(item)
                 given[item.source] += 1
                 self._taken.append(self._features(item))
-        return sorted(chosen, key=lambda item: item.difference)
+        return sorted(chosen, key=lambda item: item.difference + item.weak)
 
     def _features(self, item: Candidate) -> np.ndarray:
         X_OH, q = (item.X_OH[None], item.q[None]) if item.grasp is None else (item.grasp.X_OH, item.grasp.q)
@@ -120,19 +128,24 @@ class Order:
         own = self._features(item)
         return min((float(np.linalg.norm(own - other)) for other in self._taken), default=np.inf)
 
+    def _settle(self, item: Candidate) -> bool:
+        """Settle a closed hand and compare its exact contact map; False where it overlaps too deeply."""
+        problem = self._pair.problem
+        settled, _ = settle(problem, _closed(item))
+        if settled.penetration_m[0] > problem.max_penetration_m:
+            return False
+        item.difference = float(map_differences(problem.packed, self._target, settled.X_OH, settled.q)[0])
+        item.settled = True
+        return True
+
     def _finish(self, item: Candidate) -> bool:
-        """Settle a closed hand and compare its exact contact map; False where it is no grasp after all."""
-        X_OH, q = item.X_OH[None], item.q[None]
-        closed = Candidates(
-            X_OH=X_OH, q=q, q_start=q, epsilon=np.zeros(1), penetration_m=np.zeros(1),
-            outcome=np.full(1, VALID, np.int8),
-        )  # fmt: skip
-        grasp = finish_grasps(self._pair.problem, closed, protocol=self._config.protocol, seed=self._seed, config={})
+        """Make a grasp of a closed hand that settles; False where it is none after all."""
+        config = self._config
+        grasp = finish_grasps(self._pair.problem, _closed(item), protocol=config.protocol, seed=self._seed, config={})
         weak = len(grasp) > 0 and item.origin == "generated" and float(grasp.epsilon[0]) < self.least_epsilon
         if len(grasp) == 0 or weak or not self._allows(grasp.X_OH, grasp.q, grasp.q_pregrasp)[0]:
             return False
         item.grasp = grasp
-        item.difference = float(map_differences(self._pair.problem.packed, self._target, grasp.X_OH, grasp.q)[0])
         return True
 
     def _prove(self, item: Candidate) -> bool:
@@ -153,3 +166,10 @@ class Order:
         if not outcome.success:
             self.failed.append(item)
         return outcome.success
+
+
+def _closed(item: Candidate) -> Candidates:
+    X_OH, q = item.X_OH[None], item.q[None]
+    return Candidates(
+        X_OH=X_OH, q=q, q_start=q, epsilon=np.zeros(1), penetration_m=np.zeros(1), outcome=np.full(1, VALID, np.int8)
+    )

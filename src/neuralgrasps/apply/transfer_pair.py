@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from neuralgrasps.apply.novel_trial import novel_problem
-from neuralgrasps.apply.transfer_kernels import Hands, Target
+from neuralgrasps.apply.transfer_kernels import Hands, Target, margins
 from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.geometry.sampling import farthest_points
 from neuralgrasps.grasps.contact_map import contact_map_packed
@@ -21,6 +21,7 @@ from neuralgrasps.planning.grasp_cache import pair_fingerprint
 from neuralgrasps.sim.build import grasp_model
 from neuralgrasps.sim.grasp_trial import GraspTrial
 from neuralgrasps.sim.protocols import get_protocol
+from neuralgrasps.synthesis.assess import Cone
 from neuralgrasps.synthesis.candidates import GraspProblem
 from neuralgrasps.synthesis.contacts import TOUCH_M
 from neuralgrasps.synthesis.prepared import Memory, prepare_hand
@@ -28,6 +29,7 @@ from neuralgrasps.synthesis.squeeze import PREGRASP_JAW_M, PREGRASP_RAD, joint_s
 
 SPARSE = 256  # contact points that the search compares maps at; results are compared at all
 PROBES_M = 0.008  # spacing of the hand's points that the descent keeps out of the object
+SLIPPERY = 0.5  # share of the friction at which grasps are compared by how well they would hold
 CLOSING_OVERLAP_M = 0.001  # that closing may leave; settling takes it away
 
 
@@ -39,6 +41,7 @@ class TransferPair:
         problem: as `synthesise` sees it; searching: the same, judged by what counts as contact when finished;
             probes: fewer points on the hand, that the descent keeps out of the object.
         hands: how the hand opens. sparse: (M,) rows of the object's contact points that the search looks at.
+        slippery: contacts with `SLIPPERY` of the friction.
         turned: (S, M) the contact point nearest to where each of the sparse ones goes by each symmetry.
         trial: ready to try grasps; not for two threads at once.
     """
@@ -47,6 +50,7 @@ class TransferPair:
     searching: GraspProblem
     probes: PackedHand
     hands: Hands
+    slippery: Cone
     sparse: np.ndarray
     turned: np.ndarray
     trial: GraspTrial
@@ -54,11 +58,15 @@ class TransferPair:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KnownMaps:
-    """Known grasps with their contact maps (N, P) float32, and the largest distance between two of them."""
+    """Known grasps with their contact maps (N, P) float32, and the largest distance between two of them.
+
+    `margins` (N,) say how well they would hold where it is slippery, see `transfer_kernels.margin`.
+    """
 
     grasps: GraspSet
     maps: np.ndarray
     widest: float
+    margins: np.ndarray
 
 
 _PAIRS = Memory[TransferPair](most=40)
@@ -76,12 +84,18 @@ def transfer_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
 def known_maps(pair: TransferPair, grasps: GraspSet, radius_m: float) -> KnownMaps:
     """Contact maps of known grasps at the object's contact points, kept for the next transfer."""
     problem = pair.problem
-    key = fingerprint((hand_fingerprint(problem.hand), problem.obj.points_O, grasps.X_OH, grasps.q, radius_m))
+    frictions = pair.slippery.friction, pair.slippery.torsion
+    key = fingerprint(
+        (hand_fingerprint(problem.hand), problem.obj.points_O, grasps.X_OH, grasps.q, radius_m, *frictions)
+    )
 
     def make() -> KnownMaps:
         maps = contact_map_packed(problem.obj.points_O, problem.packed, grasps.X_OH, grasps.q, radius=radius_m)
         far = [float(np.abs(maps[i + 1 :] - maps[i]).mean(axis=1).max()) for i in range(len(maps) - 1)]
-        return KnownMaps(grasps=grasps, maps=maps, widest=max(far, default=0.0))
+        contacts = grasps.contact_points_O, grasps.contact_normals_O, grasps.contact_links
+        return KnownMaps(
+            grasps=grasps, maps=maps, widest=max(far, default=0.0), margins=margins(pair.slippery, *contacts)
+        )
 
     return replace(_KNOWN.get(key, make), grasps=grasps)
 
@@ -113,6 +127,7 @@ def _made_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
         searching=searching,
         probes=tools.packed,
         hands=hands,
+        slippery=Cone(problem.obj.com_O, problem.length, SLIPPERY * problem.friction, SLIPPERY * problem.torsion),
         sparse=sparse,
         turned=np.stack(turned),
         trial=GraspTrial(hand, obj, chosen, model=grasp_model(hand, obj, chosen)),

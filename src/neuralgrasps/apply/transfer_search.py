@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from neuralgrasps.apply.transfer_descent import descend, map_problem
-from neuralgrasps.apply.transfer_kernels import Target, map_differences, search_starts
+from neuralgrasps.apply.transfer_kernels import Sturdy, Target, map_differences, search_starts
 from neuralgrasps.apply.transfer_pair import KnownMaps, TransferPair
 from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.errors import InputError
@@ -28,7 +28,8 @@ class SearchConfig:
         starts: known grasps that the search begins at; each is moved in `steps` steps down the difference of the maps,
             then closed.
         generations: rounds of varying the best `seeds` hands so far, `children` times each; variations are moved in
-            `child_steps` steps and closed.
+            `child_steps` steps, and the `closed` nearest of them closed (more where more are wanted; all where there
+            are rules).
         shift_m, turn_rad, curl: standard deviations of variations in the first round, curl in shares of the joints'
             ranges; each round's are `shrink` times the last one's.
         least_epsilon: closed hands below this quality are dropped.
@@ -40,6 +41,7 @@ class SearchConfig:
     seeds: int = 2
     children: int = 8
     child_steps: int = 6
+    closed: int = 8
     shift_m: float = 0.012
     turn_rad: float = 0.2
     curl: float = 0.04
@@ -47,7 +49,7 @@ class SearchConfig:
     least_epsilon: float = 0.02
 
     def __post_init__(self) -> None:
-        for name in ("starts", "steps", "seeds", "children"):
+        for name in ("starts", "steps", "seeds", "children", "closed"):
             if getattr(self, name) < 1:
                 raise InputError(f"transfer search: {name} is {getattr(self, name)}; expected at least 1.")
         for name in ("generations", "child_steps", "shift_m", "turn_rad", "curl", "shrink", "least_epsilon"):
@@ -77,13 +79,17 @@ class Ranked:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """Closed hands: X_OH (N, 4, 4), q (N, J), difference (N,) at the sparse points, epsilon (N,), origin (N,) the start
-    that each descends from."""
+    """Closed hands, those first whose difference and weakness are least together.
+
+    Attributes:
+        X_OH: (N, 4, 4); q: (N, J). difference: (N,) of contact maps at the sparse points; weak: (N,) what it counts as
+            that they hold worse than usual, see `transfer_kernels.weakness`. origin: (N,) start that each comes from.
+    """
 
     X_OH: np.ndarray
     q: np.ndarray
     difference: np.ndarray
-    epsilon: np.ndarray
+    weak: np.ndarray
     origin: np.ndarray
 
     def __len__(self) -> int:
@@ -94,9 +100,10 @@ class Found:
         return Found(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
 
 
-def join_found(parts: list[Found]) -> Found:
-    """All of them, in order."""
-    return Found(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Found)})
+def _in_order(parts: list[Found]) -> Found:
+    """All of them, the best first."""
+    found = Found(**{f.name: np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Found)})
+    return found.take(np.argsort(found.difference + found.weak, kind="stable"))
 
 
 def rank_known(
@@ -148,37 +155,37 @@ def search(
     q: np.ndarray,
     *,
     config: SearchConfig,
-    allows: Allows,
+    sturdy: Sturdy,
+    allows: Allows | None,
     keep: int,
     rng: np.random.Generator,
 ) -> Found:
-    """Closed hands in force closure, found from the starts X_OH (N, 4, 4), q (N, J), N >= 1; the most alike first.
+    """Closed hands in force closure, found from the starts X_OH (N, 4, 4), q (N, J), N >= 1; the best first.
 
     Args:
-        allows: (N,) bool of closed hands X_OH, q. keep: how many of the nearest are worth having, about.
-        rng: the result depends on its state.
+        sturdy: what counts as weak. allows: (N,) bool of closed hands X_OH, q; None: all are.
+        keep: how many of the best are worth having, about. rng: the result depends on its state.
     """
     hand, probes = pair.problem.hand, pair.probes
     problem = map_problem(hand, pair.problem.obj, sparse)
     X_near, q_near, cost = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q).copy(), np.empty(len(q))
     descend(probes, problem, X_near, q_near, config.steps, cost)
-    X_all, q_all, own = np.concatenate([X_near, X_OH]), np.concatenate([q_near, q]), np.arange(len(q))
-    origin = np.concatenate([own, own])
-    pool = _closed(pair, sparse, X_all, q_all, origin, np.inf, config, allows)
-    pool = pool.take(np.argsort(pool.difference, kind="stable"))
+    order = np.argsort(cost, kind="stable")
+    X_all, q_all, origin = np.concatenate([X_near[order], X_OH]), np.concatenate([q_near[order], q]), np.arange(len(q))
+    pool = _closed(pair, sparse, X_all, q_all, np.append(order, origin), np.full(keep, np.inf), sturdy, allows)
+    if len(pool) == 0:
+        near = Found(X_OH=X_near, q=q_near, difference=cost, weak=np.zeros(len(q)), origin=origin).take(order)
     for generation in range(config.generations):
-        best = pool.take(np.arange(min(config.seeds, len(pool))))
-        if len(best) == 0:
-            best = Found(X_OH=X_near, q=q_near, difference=cost, epsilon=cost, origin=own).take(
-                np.argsort(cost, kind="stable")[: config.seeds]
-            )
+        best = (pool if len(pool) else near).take(np.arange(min(config.seeds, len(pool) or len(near))))
         X, joints = _varied(hand, best.X_OH, best.q, config, config.shrink**generation, rng)
-        X, joints = np.ascontiguousarray(X), np.ascontiguousarray(joints)
-        descend(probes, problem, X, joints, config.child_steps, np.empty(len(joints)))
-        limit = np.inf if len(pool) < keep else float(pool.difference[keep - 1])
-        parents = np.repeat(best.origin, config.children)
-        pool = join_found([pool, _closed(pair, sparse, X, joints, parents, limit, config, allows)])
-        pool = pool.take(np.argsort(pool.difference, kind="stable"))
+        X, joints, cost = np.ascontiguousarray(X), np.ascontiguousarray(joints), np.empty(len(joints))
+        descend(probes, problem, X, joints, config.child_steps, cost)
+        most = max(config.closed, keep) if allows is None else len(cost)
+        order = np.argsort(cost, kind="stable")[:most]
+        nearest = np.full(keep, np.inf)
+        nearest[: len(pool)] = (pool.difference + pool.weak)[:keep]
+        parents = np.repeat(best.origin, config.children)[order]
+        pool = _in_order([pool, _closed(pair, sparse, X[order], joints[order], parents, nearest, sturdy, allows)])
     return pool
 
 
@@ -188,19 +195,19 @@ def _closed(
     X_OH: np.ndarray,
     q: np.ndarray,
     origin: np.ndarray,
-    limit: float,
-    config: SearchConfig,
-    allows: Allows,
+    nearest: np.ndarray,
+    sturdy: Sturdy,
+    allows: Allows | None,
 ) -> Found:
-    """Those of the starts that close to an allowed grasp nearer than `limit`."""
+    """Those of the starts that close to an allowed grasp, and may be among the best; `nearest`: see `search_starts`."""
     arrays = pair.searching.arrays
     X, joints, count = np.ascontiguousarray(X_OH).copy(), np.ascontiguousarray(q).copy(), len(q)
-    difference, epsilon, outcome = np.empty(count), np.empty(count), np.empty(count, np.int8)
-    search_starts(arrays, sparse, pair.hands, limit, config.least_epsilon, X, joints, difference, epsilon, outcome)
+    difference, weak, outcome = np.empty(count), np.empty(count), np.empty(count, np.int8)
+    search_starts(arrays, sparse, pair.hands, sturdy, nearest, allows is None, X, joints, difference, weak, outcome)
     good = np.flatnonzero(outcome == VALID)
-    if len(good):
+    if len(good) and allows is not None:
         good = good[allows(X[good], joints[good])]
-    return Found(X_OH=X, q=joints, difference=difference, epsilon=epsilon, origin=origin).take(good)
+    return _in_order([Found(X_OH=X, q=joints, difference=difference, weak=weak, origin=origin).take(good)])
 
 
 def _varied(

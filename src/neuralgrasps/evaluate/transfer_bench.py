@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from neuralgrasps.apply.transfer import FAST, TransferConfig, TransferResult, transfer
+from neuralgrasps.apply.transfer import TransferConfig, TransferResult, transfer
 from neuralgrasps.apply.transfer_kernels import map_differences
 from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import TransferQuery, contact_radius, query_from_grasp
@@ -22,8 +22,8 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.parallel import run_tasks
 from neuralgrasps.sim.validate import validate_grasps
 
-PROTOCOL = "dexgraspbench"
-OTHERS = ("dexgraspbench-hard", "shake")  # independent looks at the grasps that PROTOCOL chose
+PROTOCOL = "dexgraspbench"  # whole trial that judges the first results; the transfer tries by its own
+OTHERS = ("dexgraspbench-hard", "shake")  # chose nothing either
 _SHORTLIST = 40  # turned known grasps, by maps read off a table, whose exact maps decide the oracle
 
 
@@ -33,7 +33,7 @@ class TransferBenchConfig:
 
     Attributes:
         queries: per hand and object, to each target hand. hands: all of the run when empty.
-        parts: also retrieval alone, generation alone, and the fast setting. seed: of the searches.
+        parts: also retrieval alone and generation alone. seed: of the searches.
         transfer: how grasps are carried over; its `scale` is the object's, see `published_scale`.
     """
 
@@ -50,12 +50,11 @@ class TransferTrial:
 
     Attributes:
         object, source, target, query: which; query is the place in the source hand's grasps.
-        held: the first result held. similarity: its. generated: it is a new grasp. tried: trials it took.
+        held: the first result held in `PROTOCOL`. similarity: its. generated: it is a new grasp. tried: trials it took.
         oracle: similarity of the known grasp most alike, the object's symmetry used; oracle_plain: not used.
         cpu_s, wall_s: of the transfer, one thread, everything that is kept per pair at hand.
         others: by protocol of `OTHERS`, whether the first result held there.
         retrieved, generated_alone: similarity of the first result of each method alone.
-        fast_held, fast_similarity, fast_cpu_s: of `FAST`, chosen by the quick protocol, tried in full by `PROTOCOL`.
     """
 
     object: str
@@ -73,9 +72,6 @@ class TransferTrial:
     others: Mapping[str, bool]
     retrieved: float = float("nan")
     generated_alone: float = float("nan")
-    fast_held: bool = False
-    fast_similarity: float = float("nan")
-    fast_cpu_s: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,18 +126,21 @@ def bench_transfer(
         done[index] = trials
         if progress is not None:
             progress(len(done), len(tasks))
-    sets = [g for (h, o), g in known.items() if h in hands and o in names]
-    others = {
+    return TransferBench(
+        trials=tuple(trial for index in range(len(tasks)) for trial in done[index]),
+        known_others=_known_others([g for (h, o), g in known.items() if h in hands and o in names]),
+        config=config,
+        wall_s=time.perf_counter() - begin,
+    )
+
+
+def _known_others(sets: Sequence[GraspSet]) -> dict[str, float]:
+    """Share of known grasps that hold in each of `OTHERS`, where all have been tried in it."""
+    return {
         name: float(np.concatenate([g.succeeded(name) for g in sets]).mean())
         for name in OTHERS
         if all(name in g.verdicts for g in sets)
     }
-    return TransferBench(
-        trials=tuple(trial for index in range(len(tasks)) for trial in done[index]),
-        known_others=others,
-        config=config,
-        wall_s=time.perf_counter() - begin,
-    )
 
 
 def split_grasps(run: Run) -> tuple[dict[tuple[str, str], GraspSet], dict[tuple[str, str], np.ndarray]]:
@@ -195,7 +194,6 @@ def _try_all(task: _Task) -> list[TransferTrial]:
         query = query_from_grasp(source, task.obj, X_OH, q)
         if number == 0:
             _carry(task, query, config)
-            _carry(task, query, replace(FAST, scale=task.scale))
         trials.append(_try(task, query, place, config))
     return trials
 
@@ -213,7 +211,7 @@ def _try(task: _Task, query: TransferQuery, place: int, config: TransferConfig) 
     first = found.grasps[:1]
     trial = TransferTrial(
         object=task.obj.name, source=query.source, target=task.hand.name, query=place,
-        held=bool(len(first)) and bool(first.succeeded(config.protocol)[0]), similarity=_first(found),
+        held=_holds(task, first, PROTOCOL), similarity=_first(found),
         generated=found.origin[:1] == ("generated",), tried=found.tried,
         oracle=1.0 - oracle / task.scale, oracle_plain=1.0 - plain / task.scale, cpu_s=cpu_s, wall_s=wall_s,
         others={name: _holds(task, first, name) for name in OTHERS},
@@ -223,11 +221,7 @@ def _try(task: _Task, query: TransferQuery, place: int, config: TransferConfig) 
     alone = {
         method: _first(_carry(task, query, replace(config, method=method))[0]) for method in ("retrieve", "generate")
     }
-    fast, fast_cpu_s, _ = _carry(task, query, replace(FAST, scale=task.scale))
-    return replace(
-        trial, retrieved=alone["retrieve"], generated_alone=alone["generate"],
-        fast_held=_holds(task, fast.grasps[:1], PROTOCOL), fast_similarity=_first(fast), fast_cpu_s=fast_cpu_s,
-    )  # fmt: skip
+    return replace(trial, retrieved=alone["retrieve"], generated_alone=alone["generate"])
 
 
 def _first(found: TransferResult) -> float:

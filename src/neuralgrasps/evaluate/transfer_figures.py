@@ -18,8 +18,7 @@ FIGURES = (
     "transfer_p95_s", "transfer_wall_s", "transfer_success_hard", "transfer_success_shake", "known_success_hard",
     "known_success_shake", "generated_share", "trials_per_transfer", "retrieve_alone_similarity",
     "generate_alone_similarity", "transfer_other_hand_similarity_minus_oracle",
-    "transfer_same_hand_similarity_minus_oracle", "transfer_fast_success", "transfer_fast_similarity_minus_oracle",
-    "transfer_fast_s",
+    "transfer_same_hand_similarity_minus_oracle",
 )  # fmt: skip
 _SHORT = {"dexgraspbench-hard": "hard", "shake": "shake"}
 
@@ -55,9 +54,6 @@ def transfer_figures(bench: TransferBench) -> dict[str, float]:
         figures |= {
             "retrieve_alone_similarity": _mean(trials, lambda t: t.retrieved),
             "generate_alone_similarity": _mean(trials, lambda t: t.generated_alone),
-            "transfer_fast_success": _mean(trials, lambda t: t.fast_held),
-            "transfer_fast_similarity_minus_oracle": _mean(trials, lambda t: t.fast_similarity - t.oracle),
-            "transfer_fast_s": _mean(trials, lambda t: t.fast_cpu_s),
         }
     return {name: value for name, value in figures.items() if np.isfinite(value)}
 
@@ -98,8 +94,6 @@ def _row(trials: Sequence[TransferTrial]) -> dict[str, Any]:
         "hard": _mean(trials, lambda t: t.others[OTHERS[0]]),
         "shake": _mean(trials, lambda t: t.others[OTHERS[1]]),
         "cpu_s": _mean(trials, lambda t: t.cpu_s),
-        "fast_success": _mean(trials, lambda t: t.fast_held),
-        "fast_cpu_s": _mean(trials, lambda t: t.fast_cpu_s),
     }
 
 
