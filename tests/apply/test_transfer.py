@@ -50,7 +50,7 @@ def check(result: TransferResult, query: TransferQuery, hand: Hand, obj: ObjectM
     """What every result must be, found out anew."""
     count = len(result.grasps)
     assert count == len(result.similarity) == len(result.origin) == len(result.reasons) == len(result.source)
-    assert (np.diff(result.similarity - result.weak) <= 1e-12).all() and (result.weak >= 0.0).all()
+    assert (np.diff(result.similarity) <= 1e-12).all() and (result.weak >= 0.0).all()
     assert validate_grasps(hand, obj, result.grasps, config.protocol).success.all() and result.grasps.validated.all()
     packed = transfer_pair(hand, obj, config.protocol).problem.packed
     maps = contact_map_packed(obj.points_O, packed, result.grasps.X_OH, result.grasps.q, radius=query.radius_m)
@@ -74,9 +74,9 @@ def test_a_known_grasp_is_found_again_and_new_ones_follow(box_world: BoxWorld, q
     assert "3 grasps by panda on brick" in repr(result)
 
 
-def test_what_slips_easily_comes_later(box_world: BoxWorld, query: TransferQuery) -> None:
+def test_what_slips_easily_is_chosen_later(box_world: BoxWorld, query: TransferQuery) -> None:
     def asked(robust: float) -> TransferResult:
-        config = replace(SHORT, robust=robust, count=5)
+        config = replace(SHORT, robust=robust)
         return transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=config)
 
     alike, sturdy = asked(0.0), asked(1.0)
@@ -87,7 +87,7 @@ def test_what_slips_easily_comes_later(box_world: BoxWorld, query: TransferQuery
         margins(cone, r.grasps.contact_points_O, r.grasps.contact_normals_O, r.grasps.contact_links)
         for r in (alike, sturdy)
     ]
-    assert held[1][:3].min() > 1.5 * held[0][:3].min() and held[1][:3].min() > held[1][3:].max()
+    assert held[1].min() > 1.5 * held[0].min() and len(held[1]) == 3
     with pytest.raises(InputError, match="robust is -1"):
         TransferConfig(robust=-1.0)
 

@@ -43,7 +43,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransferResult:
-    """Grasps of one hand that touch an object like the query; `similarity` less `weak` falls.
+    """Grasps of one hand that touch an object like the query, chosen by `similarity` less `weak`; most alike first.
 
     Attributes:
         grasps: N of them, each held by the protocol; `grasps.verdicts` has the trial.

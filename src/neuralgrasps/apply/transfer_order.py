@@ -87,7 +87,9 @@ class Order:
         heapq.heappush(self._queue, (rough * item.difference + item.weak, index))
 
     def best(self, count: int) -> list[Candidate]:
-        """Up to `count` that hold, the most alike first, apart from each other, and few from one source.
+        """Up to `count` that hold, apart from each other, and few from one source; the most alike first.
+
+        They are chosen by difference and weakness together.
 
         What is nearer to others than wanted, or of a source that has given enough, fills up the answer when there is
         nothing else, or most trials are used up; twice as many from a source then, and half as far apart.
@@ -117,7 +119,7 @@ class Order:
                 chosen.append(item)
                 given[item.source] += 1
                 self._taken.append(self._features(item))
-        return sorted(chosen, key=lambda item: item.difference + item.weak)
+        return sorted(chosen, key=lambda item: item.difference)
 
     def _features(self, item: Candidate) -> np.ndarray:
         X_OH, q = (item.X_OH[None], item.q[None]) if item.grasp is None else (item.grasp.X_OH, item.grasp.q)
