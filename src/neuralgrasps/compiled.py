@@ -1,7 +1,4 @@
-"""numba's `njit`, but what only compiled code calls gets no entry from Python, and files on disk notice more changes.
-
-The entry from Python takes every argument apart; with tuples of dozens of arrays that is often more code than the
-function. Here it is made when Python calls the function: a third of the time that compiling took before.
+"""numba's `njit`, whose files on disk also notice when something they call has changed.
 
 numba keeps compiled code under the hash of the file a function is in. Code of functions it calls in other files is
 compiled in, so that an edit there, or an update of the package, would leave the old code in use. Here the hash is over
@@ -12,71 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numba
-from numba.core import caching, sigutils
-from numba.core.registry import CPUDispatcher
+from numba import njit
+from numba.core import caching
 
-_NO_ENTRY = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-
-
-def njit(function: Callable[..., Any] | None = None, /, *, cache: bool = False, **options: Any) -> Any:
-    """As numba's; `options` are its own."""
-
-    def compiled(function: Callable[..., Any]) -> Any:
-        plain = numba.njit(function, **options)
-        if not isinstance(plain, CPUDispatcher):  # NUMBA_DISABLE_JIT
-            return plain
-        kernel = _Kernel(function, targetoptions=plain.targetoptions)
-        if cache:
-            kernel.enable_caching()
-        return kernel
-
-    return compiled if function is None else compiled(function)
-
-
-class _Kernel(CPUDispatcher):
-    """A function as Python sees it; `inner` is the same function without an entry, for compiled code that calls it."""
-
-    def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None, **options: Any) -> None:
-        super().__init__(py_func, locals or {}, targetoptions or {}, **options)
-        self.inner: Any = CPUDispatcher(py_func, locals or {}, {**(targetoptions or {}), **_NO_ENTRY}, **options)
-
-    def enable_caching(self) -> None:
-        super().enable_caching()
-        self.inner._cache = _InnerCache(self.py_func)
-
-    @property
-    def is_compiling(self) -> Any:
-        return super().is_compiling or self.inner.is_compiling
-
-    def get_call_template(self, args: Any, kws: Any) -> Any:
-        known = tuple(self.fold_argument_types(args, kws)[1]) in self.overloads
-        return super().get_call_template(args, kws) if known else self.inner.get_call_template(args, kws)
-
-    def get_overload(self, sig: Any) -> Any:
-        known = tuple(sigutils.normalize_signature(sig)[0]) in self.inner.overloads
-        return self.inner.get_overload(sig) if known else super().get_overload(sig)
-
-
-class _InnerCache(caching.FunctionCache):
-    """Functions without an entry from Python on disk, in the same index; one with an entry serves as well."""
-
-    def __init__(self, py_func: Any) -> None:
-        super().__init__(py_func)
-        self._with_entry = caching.FunctionCache(py_func)
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        found = super().load_overload(sig, target_context)
-        return self._with_entry.load_overload(sig, target_context) if found is None else found
-
-    def _index_key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return (*super()._index_key(sig, codegen), "inner")
-
+__all__ = ["njit", "source_stamp"]
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(rf"^\s*from ({_PACKAGE.name}[\w.]*) import ([^\n(]*|\([^)]*\))", re.MULTILINE)
