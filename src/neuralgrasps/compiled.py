@@ -3,26 +3,51 @@
 numba keeps compiled code under the hash of the file a function is in. Code of functions it calls in other files is
 compiled in, so that an edit there, or an update of the package, would leave the old code in use. Here the hash is over
 the file and over all files of this package that it imports, directly or not.
+
+numba reads a file's list of what is compiled before it looks whether that is out of date. A list that names a type
+which an update has moved ends in an error there; here it counts as empty.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+import numba
 from numba.core import caching
-
-__all__ = ["njit", "source_stamp"]
 
 _PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(rf"^\s*from ({_PACKAGE.name}[\w.]*) import ([^\n(]*|\([^)]*\))", re.MULTILINE)
 
 
-@cache
+def njit(function: Callable[..., Any] | None = None, /, *, cache: bool = False, **options: Any) -> Any:
+    """As numba's; `options` are its own."""
+
+    def compiled(function: Callable[..., Any]) -> Any:
+        kernel = numba.njit(function, cache=cache, **options)
+        if cache and hasattr(kernel, "_cache"):  # not with NUMBA_DISABLE_JIT
+            kernel._cache = _Kept(function)
+        return kernel
+
+    return compiled if function is None else compiled(function)
+
+
+class _Kept(caching.FunctionCache):
+    """Compiled code on disk; what names a thing that is no longer there is dropped."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except (AttributeError, ImportError):
+            self.flush()
+            return None
+
+
+@functools.cache
 def _imported(path: Path) -> frozenset[Path]:
     """Files of this package that a file imports."""
     found = set()
@@ -33,7 +58,7 @@ def _imported(path: Path) -> frozenset[Path]:
     return frozenset(found)
 
 
-@cache
+@functools.cache
 def source_stamp(path: Path) -> str:
     """sha256 (hex) over a file of this package and everything of the package that it imports, directly or not."""
     known, new = {path}, {path}
