@@ -10,6 +10,7 @@ import torch
 
 from neuralgrasps.errors import DataFormatError, InputError
 from neuralgrasps.geometry.camera import Intrinsics
+from neuralgrasps.human.nets import joint_reader
 from neuralgrasps.human.nets.joint_errors import procrustes_error, root_relative_error
 from neuralgrasps.human.nets.joint_net import JointNet
 from neuralgrasps.human.nets.joint_reader import JointReader, box_of_joints
@@ -73,6 +74,24 @@ def test_weights_tell_good_joints_from_bad(reader):
     assert weight.min() >= 0.0 and weight.max() <= 1.0
     surer = weight > np.median(weight)
     assert error[surer].mean() < 0.8 * error[~surer].mean()
+
+
+def test_a_hand_behind_something_is_read_at_its_own_depth(reader, monkeypatch):
+    found = {True: [], False: []}
+    for seed in range(12):
+        frame, box, joints_C, hand = _shown(seed)
+        rows, columns = np.nonzero(hand)
+        depth = frame.depth.copy()
+        middle = slice(int(np.quantile(rows, 0.25)), int(np.quantile(rows, 0.75)) + 1)
+        left = int(np.quantile(columns, 0.5))
+        depth[middle, left:] = np.median(frame.depth[hand]) - 0.3  # a card in the box's middle
+        depth[middle, : left - 25] = depth[middle, left + 1][:, None]
+        hidden = Frame(depth, frame.intrinsics)
+        for tried in (True, False):
+            monkeypatch.setattr(joint_reader, "_OTHER_DEPTHS_M", (-0.1, 0.1, 0.2, 0.3) if tried else ())
+            found[tried].append(root_relative_error(reader.read(hidden, box).points_C, joints_C))
+    assert np.max(found[True]) < 0.1 < np.max(found[False])
+    assert np.mean(found[True]) < 0.6 * np.mean(found[False])
 
 
 def test_a_left_hand_is_the_mirrored_right_one(reader):

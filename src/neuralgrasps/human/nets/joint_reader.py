@@ -33,6 +33,8 @@ _TRUST_M = 0.01  # an expected error that halves a joint's weight
 _SKIN_M = 0.013  # of skin round the joints, for boxes
 _NEAR_M, _FAR_M = 0.035, 0.035  # a hand's surface is not farther from its joints' depths
 _SMALLEST_PX = 12.0  # narrower boxes show nothing
+_DOUBTFUL = 0.25  # mean weight of the joints below which the crop's reference depth may be that of what hides the hand
+_OTHER_DEPTHS_M = (-0.1, 0.1, 0.2, 0.3)  # from it, that are tried then
 _SAME_PLACE, _SAME_SIZE, _SAME_M = 0.03, 0.05, 0.015  # what second crops of the training images are off by
 
 
@@ -88,13 +90,34 @@ class JointReader:
             taken = [crop for crop in crops if crop is not None]
             if not taken:
                 break
-            points_C, widths, masks = self._run(taken, [boxes[row].side == "left" for row in rows], turn=look % 2 == 1)
+            lefts = [boxes[row].side == "left" for row in rows]
+            points_C, widths, masks = self._run(taken, lefts, turn=look % 2 == 1)
+            if look == 0:
+                self._try_other_depths([frames[row] for row in rows], taken, lefts, points_C, widths, masks)
             for k, row in enumerate(rows):
                 found[row].add(points_C[k], widths[k])
                 crops[row] = _crop_round(frames[row], points_C[k], taken[k]) if look + 1 < self._looks else None
                 if crops[row] is None:
                     out[row] = _seen(frames[row], boxes[row], taken[k], found[row], masks[k])
         return out
+
+    def _try_other_depths(
+        self, frames: Sequence[Frame], crops: list[Crop], lefts: list[bool], points_C: np.ndarray, widths: np.ndarray,
+        masks: np.ndarray,
+    ) -> None:  # fmt: skip
+        """Read doubtful crops at other reference depths, and put the surest reading in place; changes its arguments.
+
+        Where something stands before the hand, most of the crop's middle is that.
+        """
+        doubtful = [k for k in range(len(crops)) if _weights(widths[k]).mean() < _DOUBTFUL]
+        moved = ((k, _at_depth(frames[k], crops[k], off)) for k in doubtful for off in _OTHER_DEPTHS_M)
+        tries = [(k, crop) for k, crop in moved if crop is not None]
+        if not tries:
+            return
+        found = self._run([crop for _, crop in tries], [lefts[k] for k, _ in tries], turn=False)
+        for (k, crop), points, width, mask in zip(tries, *found, strict=True):
+            if _weights(width).mean() > _weights(widths[k]).mean():
+                crops[k], points_C[k], widths[k], masks[k] = crop, points, width, mask
 
     def _run(self, crops: list[Crop], lefts: list[bool], *, turn: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Joints (N, 21, 3) in the camera frame, expected errors (N, 21), metres, and masks (N, 96, 96) of crops."""
@@ -162,6 +185,19 @@ def _first_crop(frame: Frame, box: HandBox) -> Crop | None:
     return take_crop(frame.depth, frame.intrinsics, u=u, v=v, side=side)
 
 
+def _at_depth(frame: Frame, crop: Crop, off: float) -> Crop | None:
+    """A crop with another reference depth, metres away; None where that is before the camera."""
+    depth_m = crop.depth_m + off
+    if depth_m <= 0.0:
+        return None
+    return take_crop(frame.depth, frame.intrinsics, u=crop.u, v=crop.v, side=crop.side, depth_m=depth_m)
+
+
+def _weights(widths: np.ndarray) -> np.ndarray:
+    """How far joints can be trusted, 0 to 1, by their expected errors, metres."""
+    return _TRUST_M**2 / (_TRUST_M**2 + widths**2)
+
+
 def _crop_round(frame: Frame, points_C: np.ndarray, before: Crop) -> Crop | None:
     """The crop round joints; None where it is hardly another than the one before, or nothing was measured in it."""
     u0, v0, u1, v1 = _edges(frame, points_C)
@@ -179,8 +215,7 @@ def _seen(frame: Frame, box: HandBox, crop: Crop, found: _Found, mask: np.ndarra
     whole = full_mask(crop, mask, frame.depth.shape)
     near, far = points_C[:, 2].min() - _NEAR_M, points_C[:, 2].max() + _FAR_M
     whole &= (frame.depth > near) & (frame.depth < far)
-    weight = _TRUST_M**2 / (_TRUST_M**2 + found.widths**2)
-    return SeenJoints(points_C=points_C, weight=weight, mask=whole, side=box.side, source=_SOURCE)
+    return SeenJoints(points_C=points_C, weight=_weights(found.widths), mask=whole, side=box.side, source=_SOURCE)
 
 
 def _nothing_seen(box: HandBox) -> SeenJoints:
