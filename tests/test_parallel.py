@@ -89,6 +89,21 @@ def test_workers_ignore_an_interrupt_that_the_parent_decides_about():
     assert set(seen.values()) == {signal.SIG_IGN}
 
 
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="there are no masks of signals here")
+@pytest.mark.parametrize("held", [True, False])
+def test_a_caller_who_holds_interrupts_back_goes_on_doing_so(held):
+    before = signal.pthread_sigmask(signal.SIG_BLOCK if held else signal.SIG_UNBLOCK, [signal.SIGINT])
+    try:
+        assert dict(run_tasks(math.sqrt, [(4.0,), (9.0,)], workers=2)) == {0: 2.0, 1: 3.0}
+        after_tasks = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+        with beside(math.sqrt, 4.0, workers=2) as result:
+            after_beside = signal.pthread_sigmask(signal.SIG_BLOCK, [])
+            assert result() == 2.0
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    assert (signal.SIGINT in after_tasks, signal.SIGINT in after_beside) == (held, held)
+
+
 def test_an_interrupt_while_workers_start_is_the_parents_too():
     script = (
         "import math, os, signal\n"

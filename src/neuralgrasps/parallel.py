@@ -34,7 +34,8 @@ def available_cpus() -> int:
 def _start_worker() -> None:
     # Ctrl-C reaches the whole process group; the parent alone decides what happens then.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _hold_interrupts(signal.SIG_UNBLOCK)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -46,9 +47,17 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _hold_interrupts(how: int) -> None:
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(how, [signal.SIGINT])
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Ctrl-C is held back, and then as it was: who had it held back keeps that."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)  # from here on an exception may come
 
 
 @contextmanager
@@ -58,19 +67,22 @@ def _starting() -> Iterator[None]:
     It also inherits that Ctrl-C is held back, until `_start_worker` ignores it: else one that comes while a worker is
     starting ends it with a traceback. Here it is heard at the end, when all workers are known and can be ended.
     """
+    with _interrupts_held(), _one_thread(), _heard_later(signal.SIGINT), _heard_later(signal.SIGTERM):
+        yield
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
-    _hold_interrupts(signal.SIG_BLOCK)
     try:
-        with _heard_later(signal.SIGINT), _heard_later(signal.SIGTERM):
-            yield
+        yield
     finally:
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
-        _hold_interrupts(signal.SIG_UNBLOCK)  # from here on an exception may come
 
 
 @contextmanager
