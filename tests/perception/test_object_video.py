@@ -172,6 +172,28 @@ def test_a_pose_that_half_a_view_suggests_is_refuted_by_the_other_frames(film, m
     assert found.found_in == 0 and max(_errors(obj, found.X_CO, truth)) < 2e-3
 
 
+def test_under_a_hand_the_search_goes_on_until_a_pose_is_accepted(film, monkeypatch):
+    obj, frames, truth = film(lifted=False, ball=False)
+    nobody = np.zeros(frames[0].depth.shape, bool)
+
+    def seen(frame, number, obj, *, hidden=None, seed=0):
+        found = sight(frame, number, obj, hidden=hidden, seed=seed)
+        confidence, score = (0.995, 0.85) if number == 0 else (0.97, 0.97)
+        return replace(found, pose=replace(found.pose, confidence=confidence, score=score))
+
+    monkeypatch.setattr(object_video, "sight", seen)
+    found = follow_object(frames, obj, hidden=lambda k: nobody)
+    assert found.reason == "" and found.found_in > 0 and max(_errors(obj, found.X_CO, truth)) < 2e-3
+
+
+def test_what_is_found_after_it_was_moved_moves_from_the_first_frame_in_which_it_did(film, monkeypatch):
+    obj, frames, truth = film(ball=False)  # lifted from frame 10 on
+    monkeypatch.setattr(object_video, "_order", lambda count, hidden: [len(frames) - 1])
+    found = follow_object(frames, obj)
+    assert found.found_in == len(frames) - 1 and max(_errors(obj, found.X_CO, truth)) < 0.02
+    assert 8 <= found.moves_from <= 11
+
+
 def test_no_frames_and_masks_of_everything(film):
     obj, frames, _ = film(lifted=False)
     with pytest.raises(InputError, match="no frames"):

@@ -46,9 +46,14 @@ class Sighting:
     @property
     def found(self) -> bool:
         """Whether it is sure enough."""
-        if self.hidden:
-            return self.pose.confidence >= LEAST_HIDDEN and self.pose.score >= _LEAST_SCORE_HIDDEN
-        return self.pose.confidence >= LEAST
+        return accepted(self.pose, hidden=self.hidden)
+
+
+def accepted(pose: PoseResult, *, hidden: bool) -> bool:
+    """Whether a pose counts as found; hidden: a person may be taken for the object, or hide what tells poses apart."""
+    if hidden:
+        return pose.confidence >= LEAST_HIDDEN and pose.score >= _LEAST_SCORE_HIDDEN
+    return pose.confidence >= LEAST
 
 
 def sight(
@@ -67,16 +72,15 @@ def sight(
         return str(error)
     found = find_clusters(rest, table.plane, extent=table.extent)
     masks = [mask for mask in found if (mask & (rest.depth > 0)).sum() >= _LEAST_PIXELS]
-    model, best = pose_model(obj), None
+    model, seen = pose_model(obj), []
     parts = None if hidden is None else _parts(rest, hidden, masks, model.diameter)
     for mask in [*([] if parts is None else [parts]), *masks[:_CLUSTERS]]:
-        pose = _pose(model, frame, mask, table, seed, present=hidden is None)
-        if best is None or pose.confidence > best.confidence:
-            best = pose
-        if mask is parts and pose.confidence >= LEAST_HIDDEN:
+        seen.append(_pose(model, frame, mask, table, seed, present=hidden is None))
+        if mask is parts and accepted(seen[-1], hidden=True):
             break  # a part alone may be explained by more poses, and by wrong ones
-    if best is None:
+    if not seen:
         return "nothing stands on the table."
+    best = max(seen, key=lambda pose: (accepted(pose, hidden=hidden is not None), pose.confidence))
     return Sighting(frame=number, pose=best, table=table, hidden=hidden is not None)
 
 

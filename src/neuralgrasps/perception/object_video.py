@@ -108,7 +108,7 @@ def _looked(frames: Sequence[Frame], obj: ObjectModel, hidden: Hidden, seed: int
             reason = found
             continue
         seen.append(found)
-        if found.pose.confidence >= _SURE:
+        if found.found and found.pose.confidence >= _SURE:
             break
     return seen, reason
 
@@ -157,10 +157,11 @@ def _follow(frames: Sequence[Frame], obj: ObjectModel, found: Sighting, seed: in
     start = found.frame
     track = _Track(frames=frames, obj=obj, start=start, table=found.table, seed=seed)
     X_WO = track.X_WC[start] @ found.pose.X_CO
-    moves_from, lost_from = track.walk(range(start, len(frames)), X_WO)
-    came_to, lost_before = track.walk(range(start - 1, -1, -1), X_WO)
-    if came_to is not None:  # it stood elsewhere before
-        moves_from = min(came_to + 1, start)
+    moved, lost_from = track.walk(range(start, len(frames)), X_WO)
+    moved_before, lost_before = track.walk(range(start - 1, -1, -1), X_WO)
+    moves_from = moved[0] if moved else None
+    if moved_before:  # it stood elsewhere before: at first where it was in the last of these
+        moves_from = moved_before[-1] + 1
     if lost_before is not None and lost_from is None:
         lost_from = 0
     stands_in, above_m = track.rest()
@@ -205,9 +206,9 @@ class _Track:
         self.X_CO, self.seen = np.full((len(frames), 4, 4), np.nan), np.zeros(len(frames))
         self.usual: float | None = None
 
-    def walk(self, numbers: range, X_WO: np.ndarray) -> tuple[int | None, int | None]:
-        """Fill in frames one after the other from a pose; the first in which it has moved, and is lost."""
-        moves: int | None = None
+    def walk(self, numbers: range, X_WO: np.ndarray) -> tuple[list[int], int | None]:
+        """Fill in frames one after the other from a pose; those to which it has moved, and where it is lost."""
+        moved: list[int] = []
         for k in numbers:
             frame, X_CW = self.frames[k], inverse_np(self.X_WC[k])
             self.X_CO[k] = X_CW @ X_WO
@@ -220,12 +221,12 @@ class _Track:
             tracked = _tracked(frame, self.obj, self.X_CO[k], self.table_W.moved(X_CW), self.seed)
             there = _View(0.0, 1.0) if tracked is None else _compare(frame, self.obj, tracked)
             if tracked is not None and there.gone < gone and _shift(self.obj, tracked, self.X_CO[k]) > _MOVED_M:
-                moves = k if moves is None else moves
+                moved.append(k)
                 self.X_CO[k], X_WO, gone, self.seen[k] = tracked, self.X_WC[k] @ tracked, there.gone, there.agree
             if gone > _LOST_SHARE:
                 self.X_CO[k] = np.nan
-                return moves, k
-        return moves, None
+                return moved, k
+        return moved, None
 
     def rest(self) -> tuple[int | None, float]:
         """The first frame in which the object stands on the table and keeps still; how high it is at least above it."""
