@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from neuralgrasps.apply.transfer import TransferConfig, TransferResult, made_grasps, transfer
-from neuralgrasps.apply.transfer_kernels import margins
+from neuralgrasps.apply.transfer_kernels import Sturdy, margins
 from neuralgrasps.apply.transfer_order import Candidate, Order
-from neuralgrasps.apply.transfer_pair import forget, target_of, transfer_pair
+from neuralgrasps.apply.transfer_pair import TransferPair, forget, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_contacts, query_from_grasp
 from neuralgrasps.apply.transfer_reasons import squeezed_width, touched_sides
 from neuralgrasps.apply.transfer_search import SearchConfig
@@ -29,6 +29,11 @@ from neuralgrasps.synthesis.support import Support
 from tests.apply.conftest import BoxWorld
 
 SHORT = TransferConfig(count=3, search=SearchConfig(starts=3, generations=1, children=4))
+
+
+def sturdy_of(pair: TransferPair, *, give: float = 0.0) -> Sturdy:
+    """Weak is what has a margin below 0.1."""
+    return Sturdy(pair.slippery, 0.1, give, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -265,7 +270,9 @@ def test_what_settles_nearer_than_it_looked_still_comes_in_order(
     box_world: BoxWorld, query: TransferQuery, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pair = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench")
-    order = Order(pair, target_of(query), SHORT, lambda X, q, before: np.ones(len(q), bool), least_epsilon=0.0, seed=0)
+    order = Order(
+        pair, target_of(query), SHORT, lambda X, q, before: np.ones(len(q), bool), sturdy=sturdy_of(pair), seed=0
+    )
     exact = (0.12, 0.11, 0.05, 0.3)  # of candidates that look 0.10, 0.11, 0.12 and 0.13 away
 
     def finish(self: Order, item: Candidate) -> bool:
@@ -290,7 +297,7 @@ def order_of(
     config = replace(SHORT, **changes)
     order = Order(
         pair, target_of(query_from_contacts(box_world.obj, box_world.obj.points_O[:5])), config,
-        lambda X, q, before: np.ones(len(q), bool), least_epsilon=0.0, seed=0,
+        lambda X, q, before: np.ones(len(q), bool), sturdy=sturdy_of(pair), seed=0,
     )  # fmt: skip
 
     def prove(self: Order, item: Candidate) -> bool:
@@ -335,3 +342,29 @@ def test_what_is_near_to_others_only_fills_up(box_world: BoxWorld, monkeypatch: 
 
     assert places(1) == [0] and places(2) == [0, 3]
     assert places(4) == [0, 1, 3]  # the near one after all, but not what is the same
+
+
+def test_retrieval_tries_as_many_known_grasps_as_trials_allow(box_world: BoxWorld, query: TransferQuery) -> None:
+    box = box_world.grasps
+    alone = [query_from_grasp(box_world.hand, box_world.obj, g.X_OH[0], g.q[0]) for g in box]
+    order = np.argsort([np.abs(one.contact_map - query.contact_map).mean() for one in alone])
+    last = int(order[-1])
+    loose = np.where((np.arange(len(box)) == last)[:, None], box.q_squeeze, box.q_pregrasp)  # only the last one holds
+    known = replace(box, q_squeeze=loose, verdicts={})
+    config = replace(SHORT, method="retrieve", count=1)
+    assert config.search.starts < len(box) <= config.trials
+    result = transfer(query, box_world.hand, box_world.obj, known=known, config=config)
+    assert result.source.tolist() == [last] and result.tried == len(box)
+
+
+def test_a_finished_grasp_is_weighed_by_its_own_contacts(box_world: BoxWorld, query: TransferQuery) -> None:
+    pair = transfer_pair(box_world.hand, box_world.obj, SHORT.protocol)
+    sturdy, grasp = sturdy_of(pair, give=0.5), box_world.grasps[1]
+    order = Order(pair, target_of(query), SHORT, lambda X, q, before: np.ones(len(q), bool), sturdy=sturdy, seed=0)
+    order.add(Candidate("generated", 1, 0, grasp.X_OH[0], grasp.q[0], 0.1, 0.05))
+    (chosen,) = order.best(1)
+    made = chosen.grasp
+    assert made is not None
+    held = float(margins(sturdy.cone, made.contact_points_O, made.contact_normals_O, made.contact_links)[0])
+    expected = 0.5 * min(max(1.0 - held / 0.1, 0.0), 2.0)
+    assert chosen.weak == pytest.approx(expected, abs=1e-9) and abs(expected - 0.05) > 0.01

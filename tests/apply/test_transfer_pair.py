@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from neuralgrasps.apply.transfer import TransferConfig, transfer
+from neuralgrasps.apply.transfer_kernels import margins
 from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
 from neuralgrasps.apply.transfer_query import query_from_contacts, query_from_grasp, query_from_points
 from neuralgrasps.apply.transfer_search import rank_known
@@ -106,3 +107,16 @@ def test_similarity_zero_is_the_farthest_there_is(box_world: BoxWorld, drawn: bo
     own = max(np.average(np.abs(a - query.contact_map), weights=query.weight) for a in maps)
     assert own > widest * 1.05
     assert result.scale == pytest.approx(own, rel=1e-5)
+
+
+def test_margins_are_of_this_mass_centre_and_these_contacts(box_world: BoxWorld):
+    hand, obj, grasps = box_world.hand, box_world.obj, box_world.grasps
+    usual = known_maps(transfer_pair(hand, obj, "dexgraspbench"), grasps, 0.02).margins
+    pair = transfer_pair(hand, replace(obj, com_O=obj.com_O + np.array([0.0, 0.0, 0.04])), "dexgraspbench")
+    contacts = grasps.contact_points_O, grasps.contact_normals_O, grasps.contact_links
+    moved = known_maps(pair, grasps, 0.02).margins
+    np.testing.assert_array_equal(moved, margins(pair.slippery, *contacts))
+    assert np.abs(moved - usual).max() > 1e-3
+    none, links = np.full_like(contacts[0], np.nan), np.full_like(contacts[2], -1)
+    bare = replace(grasps, contact_points_O=none, contact_normals_O=none, contact_links=links)
+    np.testing.assert_array_equal(known_maps(pair, bare, 0.02).margins, -1.0)

@@ -150,14 +150,17 @@ class _Transfer:
         usual = float(np.median(self.grasps.epsilon)) if len(self.grasps) else 0.0
         least = max(config.search.least_epsilon, config.sturdy * usual)
         margin = float(np.median(self.known.margins)) if len(self.grasps) else 0.0
-        give = config.robust * self._scale() if margin > 0.0 else 0.0
+        self.scale = self._scale()
+        judged = margin > 0.0 and config.method != "retrieve"
+        give = config.robust * self.scale if judged else 0.0
         self.sturdy = Sturdy(self.pair.slippery, max(margin, 1e-6), give, least)
-        self.order = Order(self.pair, self.full, config, self._allows, least_epsilon=least, seed=seed)
+        self.order = Order(self.pair, self.full, config, self._allows, sturdy=self.sturdy, seed=seed)
 
     def run(self) -> TransferResult:
         config = self.config
-        starts = config.search.starts
-        wanted = starts if config.count <= starts else 2 * config.count  # some will be too near to others, or fall
+        wanted = config.search.starts
+        if config.method != "generate":  # some will be too near to others, or fall
+            wanted = max(wanted, config.trials, 2 * config.count)
         turn = config.use_symmetry and len(self.pair.turned) > 1
         ranked = self._ranked(wanted, turn=turn)
         plain = self._ranked(1, turn=False) if turn else ranked
@@ -165,7 +168,7 @@ class _Transfer:
             self._add_known(ranked)
         if config.method != "retrieve":
             self._add_generated(ranked)
-        return self._result(self.order.best(config.count), self._scale(), ranked, plain)
+        return self._result(self.order.best(config.count), self.scale, ranked, plain)
 
     def _allows(self, X_OH: np.ndarray, q: np.ndarray, q_pregrasp: np.ndarray | None = None) -> np.ndarray:
         fine = np.ones(len(q), bool)
@@ -200,7 +203,7 @@ class _Transfer:
         verdicts = verdict_of(self.hand, self.obj, self.grasps, protocol)
         known = replace(self.grasps, verdicts=verdicts, protocol=protocol, config={})
         for i, row in enumerate(ranked.row):
-            weak = 0.0 if self.config.method == "retrieve" else float(weakness(self.sturdy, self.known.margins[row]))
+            weak = float(weakness(self.sturdy, self.known.margins[row]))
             item = Candidate(
                 "retrieved", int(row), int(ranked.symmetry[i]), ranked.X_OH[i], ranked.q[i],
                 float(ranked.difference[i]), weak,

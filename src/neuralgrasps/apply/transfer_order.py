@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from neuralgrasps.apply.transfer_config import TransferConfig
-from neuralgrasps.apply.transfer_kernels import Target, map_differences
+from neuralgrasps.apply.transfer_kernels import Sturdy, Target, map_differences, margins, weakness
 from neuralgrasps.apply.transfer_pair import TransferPair
 from neuralgrasps.grasps.grasp_set import GraspSet, Verdict
 from neuralgrasps.sim.grasp_trial import silent_engine
@@ -34,8 +34,9 @@ class Candidate:
         origin: "retrieved" or "generated". source: place in the known set, -1: the query's palm. symmetry: by which
             rotation of the object it was turned, 0: none.
         X_OH: (4, 4); q: (J,) closed. difference: of its contact map from the query's. weak: what it counts as that it
-            holds worse than usual, in the same unit.
-        settled: X_OH, q and difference are those of the settled hand. grasp: once it is finished. proven: it held.
+            holds worse than usual, in the same unit; of the closed hand until there is a grasp, then of that.
+        settled: difference is that of the settled hand; X_OH and q stay those before it, from which the grasp is
+            finished. grasp: once it is finished. proven: it held.
     """
 
     origin: str
@@ -54,8 +55,8 @@ class Order:
     """A queue of candidates, the most alike first.
 
     Attributes:
-        least_epsilon: of grasps that are new. tried: trials so far. failed: candidates that did not hold, in the order
-            of their trials.
+        sturdy: what counts as weak, and the least epsilon of grasps that are new. tried: trials so far.
+        failed: candidates that did not hold, in the order of their trials.
     """
 
     def __init__(
@@ -65,10 +66,10 @@ class Order:
         config: TransferConfig,
         allows: AllowsGrasps,
         *,
-        least_epsilon: float,
+        sturdy: Sturdy,
         seed: int,
     ) -> None:
-        self.least_epsilon = least_epsilon
+        self.sturdy = sturdy
         self._pair, self._target, self._config, self._allows, self._seed = pair, target, config, allows, seed
         self._queue: list[tuple[float, int]] = []
         self._items: list[Candidate] = []
@@ -144,10 +145,15 @@ class Order:
         """Make a grasp of a closed hand that settles; False where it is none after all."""
         config = self._config
         grasp = finish_grasps(self._pair.problem, _closed(item), protocol=config.protocol, seed=self._seed, config={})
-        weak = len(grasp) > 0 and item.origin == "generated" and float(grasp.epsilon[0]) < self.least_epsilon
-        if len(grasp) == 0 or weak or not self._allows(grasp.X_OH, grasp.q, grasp.q_pregrasp)[0]:
+        least = self.sturdy.least_epsilon if item.origin == "generated" else 0.0
+        if len(grasp) == 0 or float(grasp.epsilon[0]) < least:
+            return False
+        if not self._allows(grasp.X_OH, grasp.q, grasp.q_pregrasp)[0]:
             return False
         item.grasp = grasp
+        if self.sturdy.give > 0.0:
+            contacts = grasp.contact_points_O, grasp.contact_normals_O, grasp.contact_links
+            item.weak = float(weakness(self.sturdy, margins(self.sturdy.cone, *contacts)[0]))
         return True
 
     def _prove(self, item: Candidate) -> bool:

@@ -84,15 +84,13 @@ def transfer_pair(hand: Hand, obj: ObjectModel, protocol: str) -> TransferPair:
 def known_maps(pair: TransferPair, grasps: GraspSet, radius_m: float) -> KnownMaps:
     """Contact maps of known grasps at the object's contact points, kept for the next transfer."""
     problem = pair.problem
-    frictions = pair.slippery.friction, pair.slippery.torsion
-    key = fingerprint(
-        (hand_fingerprint(problem.hand), problem.obj.points_O, grasps.X_OH, grasps.q, radius_m, *frictions)
-    )
+    contacts = grasps.contact_points_O, grasps.contact_normals_O, grasps.contact_links
+    held = (*pair.slippery, *contacts)
+    key = fingerprint((hand_fingerprint(problem.hand), problem.obj.points_O, grasps.X_OH, grasps.q, radius_m, *held))
 
     def make() -> KnownMaps:
         maps = contact_map_packed(problem.obj.points_O, problem.packed, grasps.X_OH, grasps.q, radius=radius_m)
         far = [float(np.abs(maps[i + 1 :] - maps[i]).mean(axis=1).max()) for i in range(len(maps) - 1)]
-        contacts = grasps.contact_points_O, grasps.contact_normals_O, grasps.contact_links
         return KnownMaps(
             grasps=grasps, maps=maps, widest=max(far, default=0.0), margins=margins(pair.slippery, *contacts)
         )
