@@ -142,6 +142,25 @@ def test_figures_are_means_of_what_was_seen():
     assert figures["fit_rms_mm"] == 1.5
 
 
+def test_what_is_lifted_counts_as_right_only_where_the_object_was_seen_right():
+    """A robot finds the object anew: it also lifts what was seen wrong."""
+    videos = [
+        video(), video(object_add_s=0.0099), video(object_add_s=0.011), video(object_add_s=float("nan")),
+        video(lifted=False, lifted_retry=True),
+    ]  # fmt: skip
+    assert [v.lifted_right for v in videos] == [True, True, False, False, False]
+    bench = DemonstrateBench(videos=videos, hidden=[video(visible=0.5, object_add_s=0.02), video(visible=0.7)])
+    figures = demonstrate_figures(bench)
+    assert figures["demonstrate_success"] == 0.8 and figures["demonstrate_success_right"] == 0.4
+    assert figures["hidden_demonstrate_success"] == 1.0 and figures["hidden_demonstrate_success_right"] == 0.5
+    assert figures["hidden_demonstrate_success_right_40_60"] == 0.0
+    assert figures["hidden_demonstrate_success_right_60_80"] == 1.0
+    assert {name for name in figures if "right_" in name} < set(figure_names(hidden=True))
+    tables = demonstrate_tables(bench)
+    assert (tables["objects"][0]["lifted"], tables["objects"][0]["lifted_right"]) == (0.8, 0.4)
+    assert [row["lifted_right"] for row in tables["hidden_visible"][:2]] == [0.0, 1.0]
+
+
 def test_badly_seen_videos_have_figures_of_their_own_by_what_is_seen():
     bad = [video(visible=0.5, lifted=False), video(visible=0.7), video(visible=0.95)]
     figures = demonstrate_figures(DemonstrateBench(videos=[video()], hidden=bad, fit={"fit_rms_mm": 1.5}))

@@ -23,7 +23,8 @@ def demonstrated_scene(
 ) -> TableScene:
     """The object before the robot as it stood before the camera that watched: the robot is where the camera was.
 
-    The robot's x axis is the camera's view along the table.
+    The robot's x axis is the camera's view along the table. It stands on the side that was perceived: a wrong pose
+    does not make the robot fail here (`VideoRecord.lifted_right` counts such trials apart).
 
     Args:
         at: (x, y) of the object's centre in B, metres; None: the middle of the arm's work area.

@@ -10,14 +10,15 @@ from typing import Any
 import numpy as np
 
 from neuralgrasps.evaluate.demonstrate_bench import DemonstrateBench
-from neuralgrasps.evaluate.demonstrate_trials import FrameErrors, VideoRecord
+from neuralgrasps.evaluate.demonstrate_trials import POSE_RIGHT_M, FrameErrors, VideoRecord
 from neuralgrasps.evaluate.shares import wilson_interval
 
 FIGURES = (
     "joints_root_relative_mm", "joints_procrustes_mm", "joints_found", "fitted_root_relative_mm", "fitted_surface_mm",
     "fit_rms_mm", "fps", "video_fps", "grasp_root_relative_mm", "grasp_surface_mm", "grasps_found", "side_right",
     "moment_right", "object_pose_right", "contact_similarity", "contact_map_difference",
-    "demonstrate_similarity_minus_oracle", "demonstrate_success", "demonstrate_success_retry",
+    "demonstrate_similarity_minus_oracle", "demonstrate_success", "demonstrate_success_right",
+    "demonstrate_success_retry",
 )  # fmt: skip
 HIDDEN = "hidden_"
 """Before the names of the figures of badly seen demonstrations."""
@@ -27,12 +28,13 @@ _SHARES = {"40_60": (0.4, 0.6), "60_80": (0.6, 0.8)}  # of the hand, by which th
 _BY_SHARE = (
     "joints_root_relative_mm", "joints_procrustes_mm", "joints_found", "fitted_root_relative_mm", "fitted_surface_mm",
 )  # fmt: skip
+_SUCCESS = ("demonstrate_success", "demonstrate_success_right")
 
 
 def figure_names(*, hidden: bool) -> tuple[str, ...]:
     """Names of the headline numbers, perhaps those of badly seen demonstrations too."""
     badly = [HIDDEN + name for name in FIGURES if name not in _FITS]
-    badly += [f"{HIDDEN}{name}_{part}" for part in _SHARES for name in (*_BY_SHARE, "demonstrate_success")]
+    badly += [f"{HIDDEN}{name}_{part}" for part in _SHARES for name in (*_BY_SHARE, *_SUCCESS)]
     return (*FIGURES, *badly) if hidden else FIGURES
 
 
@@ -44,7 +46,8 @@ def demonstrate_figures(bench: DemonstrateBench) -> dict[str, float]:
     for part, (low, high) in _SHARES.items():
         parted = _frame_figures([f for f in frames if low < f.visible <= high])
         out |= {f"{HIDDEN}{name}_{part}": parted[name] for name in _BY_SHARE}
-        out[f"{HIDDEN}demonstrate_success_{part}"] = _share(v.lifted for v in bench.hidden if low < v.visible <= high)
+        ended = _figures([v for v in bench.hidden if low < v.visible <= high])
+        out |= {f"{HIDDEN}{name}_{part}": ended[name] for name in _SUCCESS}
     return {name: value for name, value in out.items() if np.isfinite(value)}
 
 
@@ -73,12 +76,13 @@ def _figures(videos: Sequence[VideoRecord]) -> dict[str, float]:
         "grasps_found": _share(np.isfinite(v.grasp_root) for v in videos),
         "side_right": _share(v.side_right for v in videos),
         "moment_right": _share(v.moment_off == 0 for v in videos),
-        "object_pose_right": _share(v.object_add_s < 0.01 for v in videos),
+        "object_pose_right": _share(v.object_add_s < POSE_RIGHT_M for v in videos),
         "contact_map_difference": _mean(v.map_difference for v in videos),
         "contact_similarity": _mean(v.contact_similarity for v in videos),
         "video_fps": _video_fps(videos),
         "demonstrate_similarity_minus_oracle": _mean(v.similarity - v.oracle for v in videos),
         "demonstrate_success": _share(v.lifted for v in videos),
+        "demonstrate_success_right": _share(v.lifted_right for v in videos),
         "demonstrate_success_retry": _share(v.lifted_retry for v in videos),
     }
 
@@ -124,6 +128,7 @@ def _object_row(name: str, videos: Sequence[VideoRecord]) -> dict[str, Any]:
         "lifted": lifted / len(videos),
         "low": low,
         "high": high,
+        "lifted_right": _share(v.lifted_right for v in videos),
         "with_retry": _share(v.lifted_retry for v in videos),
     }
 
@@ -144,6 +149,7 @@ def _visible_row(low: float, high: float, videos: Sequence[VideoRecord]) -> dict
         "grasp_root_mm": _mm(v.grasp_root for v in grasped),
         "grasp_surface_mm": _mm(v.grasp_surface for v in grasped),
         "lifted": _share(v.lifted for v in grasped),
+        "lifted_right": _share(v.lifted_right for v in grasped),
     }
 
 

@@ -35,6 +35,7 @@ from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.seeds import child_rng, child_seed
 
+POSE_RIGHT_M = 0.01  # ADD-S below which the object was seen where it is
 LEAST_VISIBLE = 0.4  # of the hand, in frames that joints are measured in
 _EVERY = 2  # of the frames in which the object is held
 _CONFIG = DemonstrateConfig()
@@ -77,6 +78,7 @@ class VideoRecord:
         similarity_true: of the first transferred grasp to the grasp that was made.
         place: in the order of transfer, of the grasp that was carried out; -1 without a plan.
         lifted: the robot holds the object at the end of its first attempt; lifted_retry: of the second at the latest.
+            The object is put before it as it was seen (`demonstrated_scene`), so that a pose seen wrong costs nothing.
         seconds: by stage. frames: errors by frame.
     """
 
@@ -109,6 +111,11 @@ class VideoRecord:
     cause: str = ""
     seconds: dict[str, float] = field(default_factory=dict)
     frames: tuple[FrameErrors, ...] = ()
+
+    @property
+    def lifted_right(self) -> bool:
+        """Lifted, and the object was seen where it is at the moment of the grasp: ADD-S below `POSE_RIGHT_M`."""
+        return self.lifted and self.object_add_s < POSE_RIGHT_M
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
