@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -73,6 +74,14 @@ def test_a_video_becomes_grasps_that_touch_alike(shown, eyes):
     assert len(found.grasps) == 4 and found.grasps.validated.all()
     assert (np.diff(found.transfer.similarity) <= 1e-9).all()
     assert set(found.seconds) == {"object", "hand", "transfer"}
+    alike = found.transfer.similarity[0]
+    assert repr(found) == (
+        f"Demonstration(right hand x{track.scale:.2f} on gelatin_box: 4 grasps by fetch, similarity {alike:.2f})"
+    )
+    assert re.fullmatch(
+        rf"HandTrack\(right hand x{track.scale:.2f}: grasp in frame {track.moment} of {len(frames)}, \d+ % sure\)",
+        repr(track),
+    )
     support = demonstration_support(obj, found.table_O)
     assert support.allows(load_hand("fetch"), found.grasps.X_OH, found.grasps.q, found.grasps.q_pregrasp).all()
 
@@ -114,6 +123,8 @@ def test_each_stage_says_why_it_failed(shown, eyes):
     obj, frames, truth, known = shown
     see = {"detector": eyes[0], "reader": eyes[1], "known": known, "config": FEW}
     empty = demonstrate(frames[:2], obj, load_hand("fetch"), **see)
+    assert repr(empty) == f"Demonstration(failed at detect: {empty.reason})"
+    assert repr(empty.track) == f"HandTrack(failed at detect: {empty.reason})"
     assert truth.visible[:2].max() < 0.4 and empty.stage == "detect" and "no hand was found in 2 frames" in empty.reason
     other = demonstrate(frames[:2], load_object("bleach_cleanser"), load_hand("fetch"), **see)
     assert other.stage == "object" and "bleach_cleanser" in other.reason

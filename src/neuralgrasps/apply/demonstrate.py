@@ -88,6 +88,15 @@ class Demonstration:
     transfer: TransferResult | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        if self.stage:
+            return f"Demonstration(failed at {self.stage}: {self.reason})"
+        seen = "no hand" if self.track is None else f"{self.track.side} hand x{self.track.scale:.2f}"
+        found = self.transfer
+        count = 0 if found is None else len(found.grasps)
+        best = f", similarity {found.similarity[0]:.2f}" if found is not None and count else ""
+        return f"Demonstration({seen} on {self.object}: {count} grasps by {self.hand}{best})"
+
     @property
     def grasps(self) -> GraspSet | None:
         """The robot's grasps, best first."""

@@ -74,6 +74,12 @@ class HandTrack:
     reason: str
     reasons: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        if self.grasp is None:
+            return f"HandTrack(failed at {self.stage}: {self.reason})"
+        seen = f"{self.side} hand x{self.scale:.2f}: grasp in frame {self.moment} of {len(self.frames)}"
+        return f"HandTrack({seen}, {100 * self.grasp.confidence:.0f} % sure)"
+
 
 def watch_hand(
     frames: Sequence[Frame],
