@@ -43,7 +43,8 @@ def demo(obj: ObjectModel, video: ShownVideo) -> Demonstration:
         moves_from=None, lost_from=None, reason="",
     )  # fmt: skip
     track = HandTrack(
-        frames=tuple(video.fits), boxes=tuple(video.boxes), seen=tuple(video.seen), side="right", scale=SCALE,
+        frames=tuple(video.fits), boxes=tuple(video.boxes), seen=tuple(video.seen), looked=tuple(range(len(GAPS))),
+        side="right", scale=SCALE,
         moment=MOMENT, grasp=grasp, cloud_C=np.zeros((0, 3)), still=(4, 5), visible=0.8, contacts=("palm", "thumb"),
         stage="", reason="", reasons=("The thumb is <hidden> & far.",),
     )  # fmt: skip

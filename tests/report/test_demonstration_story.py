@@ -42,6 +42,8 @@ from neuralgrasps.report.demonstration_pictures import (
 )
 from neuralgrasps.report.demonstration_stages import demonstration_stages
 from neuralgrasps.report.hand_overlay import HandLayers
+from neuralgrasps.report.sections import PictureEncoder
+from neuralgrasps.report.transfer_sections import transfer_list_section
 from neuralgrasps.report.views import upright
 from tests.human.shown import ShownVideo
 from tests.report.conftest import GAPS, MOMENT
@@ -90,11 +92,19 @@ def carried(demo: Demonstration, obj: ObjectModel, result: TransferResult) -> De
     return replace(demo, query=query_from_grasp(demo.human, obj, demo.X_OH, demo.q), transfer=result)
 
 
-def attempt(place: int | None, *, lifted_m: float = 0.0, held: bool = False, reason: str = "") -> Attempt:
+def attempt(place: int | None, *, lifted_m: float = 0.0, held: bool = False, reason: str = "", counts=None) -> Attempt:
     """One look, and a pick by the grasp at this place (turned by the third of the object's symmetries)."""
     plan = None if place is None else cast(PickPlan, SimpleNamespace(index=3 * COUNT + place))
     pick = PickResult(
-        plan=plan, reason=reason, counts={}, blocked=False, tried=1, complete=True, cpu_s=0.12, proof_cpu_s=0.0, seed=0
+        plan=plan,
+        reason=reason,
+        counts=counts or {},
+        blocked=False,
+        tried=1,
+        complete=True,
+        cpu_s=0.12,
+        proof_cpu_s=0.0,
+        seed=0,
     )
     return Attempt(
         X_BO_true=np.eye(4), X_BO_estimate=np.eye(4), pose_right=True, pose_error_mm=1.0, pose_error_deg=1.0,
@@ -152,6 +162,9 @@ def test_the_grasp_carried_out_has_its_own_card_and_words(carried, obj, video) -
     assert len(shown.grasps) == 7
     assert [g.reason for g in shown.grasps[:6]] == [f"reason {k}" for k in range(6)]
     assert shown.grasps[6].reason == f"Carried out, no. {COUNT}: reason {COUNT - 1}"
+    assert [g.number for g in shown.grasps] == [*range(1, 7), COUNT]
+    html = transfer_list_section([shown], PictureEncoder(50))
+    assert f"</span>{COUNT}. retrieved" in html and "</span>7. retrieved" not in html
     np.testing.assert_allclose([g.similarity for g in shown.grasps], [*(0.9 - 0.01 * np.arange(6)), 0.82])
     assert shown.query_hand == "human"
 
@@ -172,7 +185,9 @@ def test_key_figures_say_what_was_lifted_and_in_which_units(carried, moving, obj
     figures = {f.label: (f.value, f.note) for f in _key_figures(story(video, demo, obj, executed=True, trial=lifted))}
     assert figures["in simulation"] == ("lifted", "slip")
     assert figures["sure of the fitted grasp"] == ("95 %", "3.1 mm off the points")
-    assert figures["contact similarity"] == ("0.90", "best known grasp 0.80")
+    assert figures["contact similarity"] == ("0.89", "grasp no. 2 of 9, carried out; best of all 0.90")
+    unmoved = {f.label: (f.value, f.note) for f in _key_figures(story(video, demo, obj))}
+    assert unmoved["contact similarity"] == ("0.90", "best known grasp 0.80")
     assert figures["frames with a hand"] == ("4 of 6", "right")
     fell = story(video, demo, obj, executed=True, trial=trial(attempt(0), cause="slip"))
     assert {f.label: f.value for f in _key_figures(fell)}["in simulation"] == "not lifted"
@@ -197,11 +212,21 @@ def stage(demo: Demonstration, name: str, done: Trial | None, **more: Any) -> tu
 
 def test_stages_of_the_robot_say_place_time_and_height(carried) -> None:
     done = trial(attempt(4, lifted_m=0.2, held=True))
-    assert stage(carried, "Plan", done) == ("ok", "grasp no. 5, in 120 ms", "")
-    assert stage(carried, "Plan", done, compiled=True)[1] == "grasp no. 5, in 120 ms with compiling"
+    before = "; those before it, as they are or turned: they do not clear the table"
+    assert stage(carried, "Plan", done) == ("ok", f"grasp no. 5 of similarity 0.86, in 120 ms{before}", "")
+    slow = f"grasp no. 5 of similarity 0.86, in 120 ms with compiling{before}"
+    assert stage(carried, "Plan", done, compiled=True)[1] == slow
+    first = trial(attempt(0, lifted_m=0.2, held=True))
+    assert stage(carried, "Plan", first)[1] == "grasp no. 1 of similarity 0.90, in 120 ms"
+    tried = attempt(4, lifted_m=0.2, held=True, counts={"out of reach": 3, "too wide": 0, "does not lift it": 2})
+    assert stage(carried, "Plan", trial(tried))[1].endswith("or turned: 3 out of reach, 2 does not lift it")
     assert stage(carried, "Lift", done) == ("ok", "raised by 200 mm and held", "")
     again = trial(attempt(4, lifted_m=0.03), attempt(6, lifted_m=0.21, held=True), cause="slip")
-    assert stage(carried, "Lift", again) == ("ok", "raised by 210 mm and held, at the second attempt", "")
+    assert stage(carried, "Lift", again) == (
+        "ok",
+        "raised by 210 mm and held, at the second attempt, by grasp no. 7 of similarity 0.84",
+        "",
+    )
     fell = trial(attempt(4, lifted_m=0.03), cause="slip", detail="it slid out")
     assert stage(carried, "Lift", fell) == ("failed", "raised by 30 mm", "slip: it slid out")
     unplanned = trial(attempt(None, reason="all in collision"), cause="no plan")
@@ -229,6 +254,22 @@ def test_captions_say_how_far_each_frames_hand_is(demo, obj, video) -> None:
     gaps = np.array([np.nan, 120.4, np.nan, np.nan, 0.4, 0.0])
     words = [caption.partition(": ")[2] for caption, _ in strip_pictures(seen, gaps)]
     assert words == ["no hand found", "120 mm away", "no hand found", "hand found", "touching", "the grasp"]
+    unwatched = replace(demo.track, frames=fits, moment=5, looked=(0, 1, 3, 4, 5))
+    seen = drawn_frames(video.frames, replace(demo, track=unwatched), obj)
+    words = [caption.partition(": ")[2] for caption, _ in strip_pictures(seen, gaps)]
+    assert words == ["no hand found", "120 mm away", "not looked at", "hand found", "touching", "the grasp"]
+
+
+def test_frames_nobody_looked_at_do_not_count_as_frames_without_a_hand(demo, obj, video) -> None:
+    some = replace(demo, track=replace(demo.track, looked=(0, 1, 3, 4, 5)))
+    assert stage(some, "Hand", None)[1] == "right, found in 4 of 5 frames looked at (of 6)"
+    assert _key_figures(story(video, some, obj))[0].value == "4 of 5"
+    assert _key_figures(story(video, some, obj))[0].note == "right; 1 of 6 not looked at"
+    nobody = replace(demo.track, boxes=(None,) * 6, seen=(None,) * 6, looked=(0, 2, 4))
+    none = replace(demo, track=nobody, stage="detect", reason="none.")
+    assert stage(none, "Hand", None)[1] == "in none of 3 frames looked at (of 6)"
+    figure = _key_figures(story(video, none, obj))[0]
+    assert (figure.value, figure.note) == ("0 of 3", "3 of 6 not looked at")
 
 
 def test_the_film_ends_at_the_grasp(demo, obj, video) -> None:

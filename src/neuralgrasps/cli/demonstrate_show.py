@@ -82,7 +82,8 @@ def _person_record(demo: Demonstration) -> dict[str, Any] | None:
     return {
         "side": track.side,
         "scale": track.scale,
-        "found_in": sum(box is not None for box in track.boxes),
+        "found_in": len(track.found),
+        "looked_at": list(track.looked),
         "moment": track.moment,
         "still": list(track.still),
         "contacts": list(track.contacts),

@@ -16,6 +16,7 @@ from neuralgrasps.evaluate.execute import Trial
 from neuralgrasps.hands.hand import Hand
 from neuralgrasps.human.seen import HandBox, Side
 from neuralgrasps.human.video.grasp_moment import touch
+from neuralgrasps.human.video.watch import HandTrack
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.report.content import DemoReport, ExecutionFigure, KeyFigure, StageTime, Table
@@ -138,7 +139,7 @@ def _times(story: DemonstrationStory, drawing_s: float) -> tuple[StageTime, ...]
 def _outcome(story: DemonstrationStory, robot: str) -> str:
     stopped = next((s.name.lower() for s in story.stages if s.verdict == "failed"), "")
     if stopped:
-        return f"the way to {robot} ends at the stage '{stopped}'"
+        return f"{robot} cannot repeat it, since the stage '{stopped}' failed"
     return f"{robot} lifts it by a grasp that touches it alike" if story.executed else f"{robot} can touch it alike"
 
 
@@ -191,7 +192,8 @@ def drawn_frames(frames: Sequence[Frame], demo: Demonstration, obj: ObjectModel)
                 name=pretty_name(obj.name),
             )
         )
-    return Demonstrated(frames=frames, layers=layers, moment=-1 if track is None else track.moment)
+    looked = frozenset(range(len(frames)) if track is None else track.looked)
+    return Demonstrated(frames=frames, layers=layers, moment=-1 if track is None else track.moment, looked=looked)
 
 
 def _decided(box: HandBox | None, side: Side | None) -> HandBox | None:
@@ -244,10 +246,10 @@ def shown_transfer(story: DemonstrationStory) -> TransferList:
         title="shown by the person", text=text,
         grasp=(as_person(demo.human), demo.X_OH, demo.q), constraints=story.rules, up_O=up_in_object(demo),
     )  # fmt: skip
-    if at is None:
-        return shown
-    done = replace(shown.grasps[at], reason=f"Carried out, no. {order[at] + 1}: {shown.grasps[at].reason}")
-    return replace(shown, grasps=(*shown.grasps[:at], done, *shown.grasps[at + 1 :]))
+    cards = [replace(grasp, number=k + 1) for k, grasp in zip(order, shown.grasps, strict=True)]
+    if at is not None:
+        cards[at] = replace(cards[at], reason=f"Carried out, no. {order[at] + 1}: {cards[at].reason}")
+    return replace(shown, grasps=tuple(cards))
 
 
 def _sentences(*texts: str) -> list[str]:
@@ -288,20 +290,37 @@ def _key_figures(story: DemonstrationStory) -> tuple[KeyFigure, ...]:
     demo, figures = story.demo, []
     track, found = demo.track, demo.transfer
     if track is not None:
-        seen = sum(box is not None for box in track.boxes)
-        figures.append(KeyFigure(value=f"{seen} of {len(track.boxes)}", label="frames with a hand", note=track.side))
+        figures.append(_hand_figure(track))
         if track.grasp is not None:
             sure = percent_text(track.grasp.confidence)
             figures.append(
                 KeyFigure(value=sure, label="sure of the fitted grasp", note=_off_text(track.grasp.cloud_rms_m))
             )
     if found is not None and len(found.grasps):
-        best = "" if not np.isfinite(found.oracle) else f"best known grasp {found.oracle:.2f}"
-        figures.append(KeyFigure(value=f"{found.similarity[0]:.2f}", label="contact similarity", note=best))
+        figures.append(_similarity_figure(story, found))
     if story.trial is not None:
         done = "lifted" if story.trial.success_retry else "not lifted"
         figures.append(KeyFigure(value=done, label="in simulation", note=story.trial.cause))
     return tuple(figures)
+
+
+def _hand_figure(track: HandTrack) -> KeyFigure:
+    """In how many of the frames that were looked at a hand was found, and how many were not."""
+    found, looked, count = len(track.found), len(track.looked), len(track.boxes)
+    said = [track.side] * bool(found) + [f"{count - looked} of {count} not looked at"] * (looked < count)
+    return KeyFigure(value=f"{found} of {looked}", label="frames with a hand", note="; ".join(said))
+
+
+def _similarity_figure(story: DemonstrationStory, found: TransferResult) -> KeyFigure:
+    """How alike the grasp is that was carried out; else the best of all."""
+    place = None if story.trial is None else executed_place(story.trial, story.demo)
+    best = float(np.max(found.similarity))
+    if place is not None:
+        rest = f"; best of all {best:.2f}" if found.similarity[place] < best else ""
+        note = f"grasp no. {place + 1} of {len(found.grasps)}, carried out{rest}"
+        return KeyFigure(value=f"{found.similarity[place]:.2f}", label="contact similarity", note=note)
+    known = "" if not np.isfinite(found.oracle) else f"best known grasp {found.oracle:.2f}"
+    return KeyFigure(value=f"{best:.2f}", label="contact similarity", note=known)
 
 
 def _off_text(rms_m: float) -> str:

@@ -30,11 +30,12 @@ _TURN_RAD = 2.2  # from the first side of a grasp to the second
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Demonstrated:
-    """What is drawn: the frames (T) with what was seen in each, and the frame of the grasp (-1: none)."""
+    """What is drawn: the frames (T), what was seen in each, the grasp's (-1: none), those looked at for a hand."""
 
     frames: Sequence[Frame]
     layers: Sequence[HandLayers]
     moment: int
+    looked: frozenset[int]
 
     @property
     def window(self) -> Window:
@@ -72,9 +73,11 @@ def strip_pictures(
     for index in strip_indices(has_hand, seen.moment, count):
         layers = seen.layers[index]
         away = np.nan if gap_mm is None else float(gap_mm[index])
-        words = "the grasp" if index == seen.moment else _distance_text(away) if has_hand[index] else "no hand found"
-        if layers.box is not None and layers.fitted is None:
-            words = "hand found"
+        words = "no hand found" if index in seen.looked else "not looked at"
+        if has_hand[index]:
+            words = "hand found" if layers.fitted is None else _distance_text(away)
+        if index == seen.moment:
+            words = "the grasp"
         found.append(
             (
                 f"frame {names[index] if names else index}: {words}",

@@ -14,7 +14,8 @@ Section = tuple[str, str, str]
 _CHIPS = {"ok": "✓ OK", "doubtful": "? DOUBTFUL", "failed": "✗ FAILED", "not reached": "not reached"}
 _TRACK_TEXT = (
     "How far the hand is from the object, how far it moves from frame to frame, and how well the hand model fits the "
-    "measured points. The grasp is where the hand touches and rests; gaps are frames in which no hand was found."
+    "measured points. The grasp is where the hand touches and rests; gaps are frames that were not looked "
+    "at, or in which no hand was found."
 )
 _VIEWS_TEXT = "The fitted hand and the object in their measured places, coloured by closeness to the hand."
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from neuralgrasps.apply.demonstrate import Demonstration
 from neuralgrasps.apply.ordered_pick import place_of
-from neuralgrasps.evaluate.execute import Trial
+from neuralgrasps.evaluate.execute import Attempt, Trial
 from neuralgrasps.report.demonstration_content import StageFigure, Verdict
 from neuralgrasps.report.pose_page import percent_text
 
@@ -98,10 +98,10 @@ def _hand_text(demo: Demonstration, _: Frames) -> str:
     track = demo.track
     if track is None:
         return "not found"
-    looked = sum(box is not None for box in track.boxes)
-    if not looked:
-        return f"in none of {len(track.boxes)} frames"
-    return f"{track.side}, found in {looked} of {len(track.boxes)} frames"
+    count, looked, found = len(track.boxes), len(track.looked), len(track.found)
+    frames = f"{looked} frame{'s' if looked != 1 else ''}"
+    of = frames if looked == count else f"{frames} looked at (of {count})"
+    return f"{track.side}, found in {found} of {of}" if found else f"in none of {of}"
 
 
 def _joints_text(demo: Demonstration, _: Frames) -> str:
@@ -139,7 +139,8 @@ def _transfer_text(demo: Demonstration, _: Frames) -> str:
     if found is None or not len(found.grasps):
         return "no grasp"
     count = len(found.grasps)
-    return f"{count} grasp{'s' if count > 1 else ''}, similarity {found.similarity[0]:.2f}"
+    best = float(np.max(found.similarity))
+    return f"{count} grasp{'s, best' if count > 1 else ','} similarity {best:.2f}"
 
 
 _TEXTS = {
@@ -153,11 +154,34 @@ def _robot_text(name: str, demo: Demonstration, trial: Trial | None, compiled: b
     if trial is None or attempt is None or attempt.plan is None or attempt.pick is None:
         return ""
     if name == "plan":
-        count = 0 if demo.grasps is None else len(demo.grasps)
-        place = place_of(attempt.plan.index, count) + 1 if count else 0
-        return f"grasp no. {place}, in {1e3 * attempt.pick.cpu_s:.0f} ms{' with compiling' if compiled else ''}"
+        took = f"in {1e3 * attempt.pick.cpu_s:.0f} ms{' with compiling' if compiled else ''}"
+        return f"{_chosen_text(demo, attempt)}, {took}{_passed_text(demo, attempt)}"
     if trial.success_retry:
         lifted = next(a for a in trial.attempts if a.success)
-        later = "" if trial.success else ", at the second attempt"
+        later = "" if trial.success else f", at the second attempt, by {_chosen_text(demo, lifted)}"
         return f"raised by {1e3 * lifted.lifted_m:.0f} mm and held{later}"
     return f"raised by {1e3 * attempt.lifted_m:.0f} mm"
+
+
+def _chosen(demo: Demonstration, attempt: Attempt) -> int | None:
+    """Place (0 = first) of the grasp that an attempt chose among the transferred ones."""
+    if attempt.plan is None or demo.grasps is None or not len(demo.grasps):
+        return None
+    return place_of(attempt.plan.index, len(demo.grasps))
+
+
+def _chosen_text(demo: Demonstration, attempt: Attempt) -> str:
+    place = _chosen(demo, attempt)
+    if place is None or demo.transfer is None:
+        return "no grasp"
+    return f"grasp no. {place + 1} of similarity {demo.transfer.similarity[place]:.2f}"
+
+
+def _passed_text(demo: Demonstration, attempt: Attempt) -> str:
+    """Why the grasps before the chosen one were passed over, in the planner's words."""
+    place = _chosen(demo, attempt)
+    if not place or attempt.pick is None:
+        return ""
+    said = [f"{count} {what}" for what, count in attempt.pick.counts.items() if count]
+    why = ", ".join(said) or "they do not clear the table"
+    return f"; those before it, as they are or turned: {why}"

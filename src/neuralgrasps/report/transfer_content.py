@@ -17,7 +17,7 @@ class TransferredGrasp:
         success: held in the physics trial; None when it was not run. displacement_mm: of the object, in the trial.
         epsilon: largest disturbance resisted. clearance_mm: from what is kept free; None when nothing is.
         touched: "1 of 2" drawn points, "" where none were; points_off_mm: mean distance from the hand to them.
-        reason: why it stands where it stands.
+        reason: why it stands where it stands. number: its place in the whole list, from 1; None: that of the card.
     """
 
     image: np.ndarray
@@ -31,6 +31,7 @@ class TransferredGrasp:
     touched: str = ""
     points_off_mm: float | None = None
     reason: str = ""
+    number: int | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

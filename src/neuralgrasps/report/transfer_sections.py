@@ -42,8 +42,9 @@ def _card(one: TransferList, index: int, pictures: PictureEncoder) -> str:
         ("off them", number_text(grasp.points_off_mm, ".1f", "mm")),
     ]
     facts = [(label, value) for label, value in facts if value != "–"]
-    words = ", ".join([f"{index + 1}: {one.hand}, {grasp.origin}", *(f"{k} {v}" for k, v in facts)])
-    title = f"{hand_dot(one.hand)}{index + 1}. {escape(grasp.origin)}{held_chip(grasp.success)}"
+    number = index + 1 if grasp.number is None else grasp.number
+    words = ", ".join([f"{number}: {one.hand}, {grasp.origin}", *(f"{k} {v}" for k, v in facts)])
+    title = f"{hand_dot(one.hand)}{number}. {escape(grasp.origin)}{held_chip(grasp.success)}"
     note = f'<div class="note">{escape(grasp.reason)}</div>' if grasp.reason else ""
     share = 100 * min(max(grasp.similarity, 0.0), 1.0)
     meter = f'<span class="meter"><i style="width:{share:.0f}%"></i></span>'

@@ -12,7 +12,7 @@ from neuralgrasps.human.fit.hand_cloud import CloudConfig
 from neuralgrasps.human.seen import SeenJoints
 from neuralgrasps.human.video.hand_video import HandVideo
 from neuralgrasps.human.video.look import LookConfig, coarse_frames, look
-from neuralgrasps.human.video.watch import watch_hand
+from neuralgrasps.human.video.watch import WatchConfig, watch_hand
 from neuralgrasps.perception.frame import camera_poses
 
 STILL_FROM = 9  # of `grasp_video`
@@ -33,6 +33,14 @@ def test_the_grasp_is_found_and_fits(grasp_video, true_eyes):
     assert track.grasp.confidence > 0.5 and track.visible > 0.3
     assert track.frames[0] is None and track.frames[track.moment] is not None
     assert len(track.cloud_C) > 100
+
+
+def test_the_track_says_which_frames_were_looked_at(grasp_video, true_eyes):
+    track = _watched(grasp_video, true_eyes(video=grasp_video), config=WatchConfig(look=LookConfig(frames=8)))
+    coarse = coarse_frames(len(grasp_video.frames), LookConfig(frames=8))
+    assert track.looked == tuple(sorted({*coarse, *track.still})) and len(track.looked) < len(grasp_video.frames)
+    assert track.found == tuple(n for n in track.looked if track.seen[n] is not None)
+    assert set(coarse) - set(track.found)  # looked at before the hand came
 
 
 def test_fusing_frames_beats_one_frame(grasp_video, true_eyes):

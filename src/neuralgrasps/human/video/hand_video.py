@@ -29,7 +29,7 @@ class HandVideo:
         X_WC: (T, 4, 4) the camera in the world; identities when it is at rest.
         table: what it stands on, in the first frame's camera, normal up; None: there is none.
         cloud_config: which pixels count as the hand's.
-        side, scale: of the hand, once decided. boxes: found so far, by frame.
+        side, scale: of the hand, once decided. boxes: found so far, by frame. scanned: frames searched for a hand.
         notes: what speaks against the outcome, in words.
     """
 
@@ -43,6 +43,7 @@ class HandVideo:
     side: Side = "right"
     scale: float | None = None
     boxes: dict[int, HandBox] = field(default_factory=dict)
+    scanned: set[int] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)
     _seen: dict[tuple[int, Side], SeenJoints | None] = field(default_factory=dict)
     _clouds: dict[tuple[int, Side], np.ndarray] = field(default_factory=dict)
@@ -117,6 +118,10 @@ class HandVideo:
     def seen_frames(self) -> list[int]:
         """Frames in which joints of the decided side are known, ascending."""
         return sorted(n for (n, side), seen in self._seen.items() if side == self.side and seen is not None)
+
+    def looked_frames(self) -> tuple[int, ...]:
+        """Frames in which a hand was looked for, by its box or its joints, ascending; a hand is in some of them."""
+        return tuple(sorted(self.scanned | set(self.boxes) | {n for n, _ in self._seen}))
 
     def to_frame(self, source: int, target: int) -> np.ndarray:
         """(4, 4) maps the camera frame of one frame to that of another, as if the object had stood still.

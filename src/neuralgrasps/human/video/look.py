@@ -57,9 +57,11 @@ def look(
 ) -> str:
     """Put the hand's boxes (and joints, where given) into the video; why there is no hand to follow, or ""."""
     if joints is not None:
+        video.scanned.update(range(len(joints)))
         return _take_joints(video, joints, side, config)
     assert detector is not None
     found = {n: detector.find(video.frames[n]) for n in coarse_frames(len(video.frames), config)}
+    video.scanned.update(found)
     paths = linked_paths(found, least_score=config.score)
     if not paths:
         return _no_hand([video.frames[n] for n in found], config)

@@ -49,6 +49,7 @@ class HandTrack:
     Attributes:
         frames: (T,) the hand fitted to each frame that was looked at; None elsewhere and where no hand is seen.
         boxes, seen: (T,) its boxes and joints, for pictures; None likewise.
+        looked: the frames that were looked at, ascending; nobody knows whether a hand is in others.
         side, scale: of the hand, one for the video; scale is nan where it was not reached.
         moment: the frame of the grasp; -1 where none was found.
         grasp: the hand there, fitted to all still frames at once, in that frame's camera; None where there is no grasp.
@@ -62,6 +63,7 @@ class HandTrack:
     frames: tuple[FittedHand | None, ...]
     boxes: tuple[HandBox | None, ...]
     seen: tuple[SeenJoints | None, ...]
+    looked: tuple[int, ...]
     side: Side
     scale: float
     moment: int
@@ -79,6 +81,15 @@ class HandTrack:
             return f"HandTrack(failed at {self.stage}: {self.reason})"
         seen = f"{self.side} hand x{self.scale:.2f}: grasp in frame {self.moment} of {len(self.frames)}"
         return f"HandTrack({seen}, {100 * self.grasp.confidence:.0f} % sure)"
+
+    @property
+    def found(self) -> tuple[int, ...]:
+        """The frames in which a hand was found, ascending."""
+        return tuple(
+            n
+            for n, (box, seen) in enumerate(zip(self.boxes, self.seen, strict=True))
+            if box is not None or seen is not None
+        )
 
 
 def watch_hand(
@@ -197,6 +208,7 @@ def _track(video: HandVideo, stage: str, reason: str) -> HandTrack:
         frames=video.fits_by_frame(),
         boxes=tuple(video.boxes.get(n) for n in range(len(video.frames))),
         seen=video.seen_by_frame(),
+        looked=video.looked_frames(),
         side=video.side,
         scale=float("nan") if video.scale is None else video.scale,
         moment=-1,
