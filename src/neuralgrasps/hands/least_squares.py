@@ -250,7 +250,7 @@ def assemble(G, h, twists, A, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def hold_limits(packed, q, A, b):  # type: ignore[no-untyped-def]
-    """Joints pressed against a limit stay there."""
+    """Joints pressed against a limit stay there: cut off from the other unknowns, with their own diagonal as it was."""
     for j in range(q.shape[0]):
         if (q[j] <= packed.lower[j] and b[6 + j] > 0.0) or (q[j] >= packed.upper[j] and b[6 + j] < 0.0):
             A[6 + j, : 6 + j] = 0.0

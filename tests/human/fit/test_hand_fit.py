@@ -11,11 +11,13 @@ from neuralgrasps.hands.least_squares import moved_pose
 from neuralgrasps.hands.packed import hand_distance_many, pack_shapes
 from neuralgrasps.hands.surface import hand_mesh
 from neuralgrasps.hands.variants import scaled_hand
+from neuralgrasps.human.fit.again import other_starts
 from neuralgrasps.human.fit.fit_config import HandFitConfig
 from neuralgrasps.human.fit.hand_fit import fit_hand
 from neuralgrasps.human.fit.hand_size import fit_size
 from neuralgrasps.human.fit.kernels import hand_cost
 from neuralgrasps.human.fit.problem import hand_problem
+from neuralgrasps.human.fit.steps import curvature
 from neuralgrasps.human.fit.view import nearest_allowed
 from neuralgrasps.human.postures import usual_postures
 from neuralgrasps.human.seen import FittedHand, SeenJoints, Side
@@ -219,6 +221,46 @@ def test_a_fit_goes_on_from_the_last_frame() -> None:
     frame, mask = _frame_of(true)
     fit = fit_hand(None, back_project(frame.depth, CAMERA, mask=mask), side="right", scale=None, start=true)
     assert np.linalg.norm(fit.joints_C - true.joints_C, axis=1).mean() < 0.003
+
+
+def test_nothing_seen_is_no_hand_to_trust() -> None:
+    true = _posed(6)
+    unseen = _seen(true, noise_m=0.0)
+    unseen.points_C[:] = np.nan
+    fit = fit_hand(unseen, None, side="right", scale=0.8, start=true)
+    assert fit.confidence < 0.01
+    assert fit.reasons == ("neither joints nor depth points of the hand: nothing says where it is",)
+
+
+def test_a_start_is_kept_where_no_joint_tells_of_the_hand() -> None:
+    true = _posed(6)
+    frame, mask = _frame_of(true)
+    unseen = _seen(true, noise_m=0.0)
+    unseen.points_C[:] = np.nan
+    cloud = back_project(frame.depth, CAMERA, mask=mask)
+    problem = hand_problem(unseen, cloud, side="right", scale=0.8, obj=None, frame=None, config=HandFitConfig())
+    X, q, sizes = other_starts(problem, true.X_CH, true.q, 0.8)
+    np.testing.assert_allclose(X[:, :3, 3], true.X_CH[None, :3, 3].repeat(2, axis=0), atol=0.1)
+    assert np.isfinite(q).all()
+    assert (sizes == 0.8).all()
+
+
+def test_the_curvature_of_a_joint_at_its_limit_stands_alone() -> None:
+    true, packed = _posed(3), pack_shapes(human_hand())
+    seen = _seen(true, noise_m=0.02)
+    problem = hand_problem(seen, None, side="right", scale=0.8, obj=None, frame=None, config=HandFitConfig())
+    problem = problem._replace(q_mean=packed.lower - 0.5)  # as if fingers were usually bent back
+    pressed = 0
+    for j, q in enumerate(np.repeat(true.q[None], 20, axis=0)):
+        q[j] = packed.lower[j]
+        A, _ = curvature(packed, problem, true.X_CH, q, 0.8)
+        others = np.delete(np.arange(27), 6 + j)
+        held = hand_cost(packed, problem, true.X_CH, q, 0.8)[1][6 + j] > 0.0
+        pressed += held
+        assert A[6 + j, others].any() != held
+        assert A[others, 6 + j].any() != held
+        assert A[6 + j, 6 + j] > 0.0
+    assert 0 < pressed < 20
 
 
 def test_the_hand_leaves_the_object() -> None:

@@ -44,7 +44,7 @@ def _drawn_starts(
     """
     A, _ = curvature(packed, joints_only(problem), X_CH, q, scale)
     A = A[:-1, :-1]  # the size stays
-    A[np.diag_indices_from(A)] += np.where(A.diagonal() > 0.0, 1e-6, 1e6)  # joints at their limits stay
+    A[np.diag_indices_from(A)] += np.where(A.diagonal() > 0.0, 1e-6, 1e6)  # a base of which no joint tells stays
     factor = np.linalg.cholesky(A)
     steps = _SPREAD * np.linalg.solve(factor.T, _normals(len(A)).T).T
     X_out, q_out = np.repeat(X_CH[None], COUNT, axis=0), np.clip(q + steps[:, 6:], packed.lower, packed.upper)

@@ -72,7 +72,9 @@ def reasons_against(evidence: FitEvidence) -> tuple[str, ...]:
     """What speaks against a fit, in words."""
     reasons = []
     with_points = math.isfinite(evidence.near_share)
-    if not with_points:
+    if not with_points and not math.isfinite(evidence.joint_rms_m):
+        reasons.append("neither joints nor depth points of the hand: nothing says where it is")
+    elif not with_points:
         reasons.append("no depth points of the hand: fitted to the joints alone")
     elif evidence.near_share == 0.0:
         reasons.append("none of the depth points is near the fitted hand: are they of something else than the joints?")

@@ -63,8 +63,9 @@ def _penetration(problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: f
 def _joint_deviation(problem: HandProblem, X_CH: np.ndarray, q: np.ndarray, scale: float) -> float:
     """Standard deviation of the joints' places (root mean square length), metres, by the curvature of the cost.
 
-    Linear, and as if the residuals were independent: of use to compare fits, not as a length to rely on.
+    Linear, and as if the residuals were independent: of use to compare fits, not as a length to rely on. Joints at a
+    limit count as free to leave it. Where nothing is seen of the hand it is huge.
     """
     A, J = curvature(right_hand().packed, problem, X_CH, q, scale)
-    A[np.diag_indices_from(A)] += np.where(A.diagonal() > 0.0, 1e-6, 1e12)  # what is held does not move
+    A[np.diag_indices_from(A)] += 1e-6
     return float(np.sqrt(np.einsum("ij,jk,ik->", J, np.linalg.inv(A), J) / NUM_JOINTS))

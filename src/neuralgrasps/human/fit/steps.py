@@ -79,7 +79,8 @@ def lower_costs(packed, problem, X_CH, q, scale, iterations, enough, cost):  # t
 def curvature(packed, problem, X_CH, q, scale):  # type: ignore[no-untyped-def]
     """The Gauss-Newton matrix A (27, 27), and what the unknowns do to the 21 joints' places, J (63, 27), at a result.
 
-    Joints pressed against a limit are held: their rows and columns of A are zero.
+    Joints pressed against a limit are cut off from the other unknowns, but keep their own diagonal: of the Gaussian of
+    A, they move as if all else stood still.
     """
     size = 7 + q.shape[0]
     A, b, J = np.empty((size, size)), np.empty(size), np.zeros((3 * problem.joint_link.shape[0], size))
