@@ -10,6 +10,7 @@ import pytest
 
 from neuralgrasps.apply.demonstrate import (
     DemonstrateConfig,
+    _hidden,
     box_mask,
     demonstrate,
     demonstration_support,
@@ -188,6 +189,22 @@ def test_no_frames_or_joints_of_others_are_an_error(shown):
         demonstrate(frames, obj, load_hand("fetch"), joints=true_joints(truth)[:-1])
     with pytest.raises(InputError, match="no frames"):
         demonstrate([], obj, load_hand("fetch"))
+
+
+@pytest.mark.parametrize(("count", "looks"), [(1, 1), (20, 20), (60, 24), (300, 61), (600, 121)])
+def test_a_person_is_looked_for_in_frames_that_are_near_to_each_other(shown, count, looks):
+    """In a long video, too: a hand moves by its own width in few frames."""
+    looked: list[int] = []
+
+    class Finder:
+        def find(self, frame):
+            looked.append(int(frame.name))
+            return []
+
+    frames = [replace(shown[1][0], name=str(k)) for k in range(count)]
+    assert _hidden(frames, Finder(), None, None)(count - 1) is None
+    assert len(looked) == looks and (looked[0], looked[-1]) == (0, count - 1)
+    assert max(np.diff(looked), default=0) <= 5
 
 
 def test_boxes_are_hidden_with_some_room():

@@ -23,7 +23,7 @@ from neuralgrasps.human.skeleton import human_hand, joint_points
 from neuralgrasps.objects.resting import resting_poses
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.frame import Frame
-from neuralgrasps.perception.object_video import follow_object, table_in_object
+from neuralgrasps.perception.object_video import follow_object
 from neuralgrasps.planning.world import box_top
 from neuralgrasps.sim.camera import render_depth_view
 
@@ -43,7 +43,7 @@ def seen_object(name, *, rest, yaw, eye):
     followed = follow_object([Frame(view.depth, CAMERA)], obj)
     assert followed.reason == ""
     demonstration = Demonstration(
-        object=obj.name, hand="fetch", seed=0, stage="", reason="", followed=followed, table_O=table_in_object(followed)
+        object=obj.name, hand="fetch", seed=0, stage="", reason="", followed=followed, table_O=followed.table_O
     )
     return obj, X_WC, demonstration
 

@@ -15,7 +15,7 @@ from neuralgrasps.geometry.primitives import sphere_mesh
 from neuralgrasps.perception import object_video
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.object_sighting import sight, without
-from neuralgrasps.perception.object_video import follow_object, table_in_object
+from neuralgrasps.perception.object_video import follow_object
 
 FRAMES = 16
 
@@ -132,12 +132,12 @@ def test_another_thing_is_not_taken_for_it(things, look, standing):
     seen = look(things["ball"].mesh, standing(things["ball"]))
     found = follow_object([Frame(seen.depth, seen.intrinsics)], things["corner"])
     assert "does not look like 'corner'" in found.reason
-    assert np.isnan(found.X_CO).all() and table_in_object(found) is None
+    assert np.isnan(found.X_CO).all() and found.table_O is None
 
 
 def test_the_table_is_given_in_the_object_frame(film):
     obj, frames, truth = film(lifted=False)
-    plane = table_in_object(follow_object(frames, obj))
+    plane = follow_object(frames, obj).table_O
     up_O = truth[0][:3, :3].T @ np.linalg.inv(look_at(np.array([0.50, 0.18, 0.42]), np.array([0.0, 0.0, 0.04])))[:3, 2]
     assert plane.normal @ up_O > 0.999
     assert np.abs(plane.height(obj.mesh.vertices).min()) < 2e-3
@@ -146,7 +146,7 @@ def test_the_table_is_given_in_the_object_frame(film):
 def test_what_is_only_seen_in_the_air_has_no_table(film):
     obj, frames, _ = film(ball=False)
     found = follow_object(frames[14:], obj)  # lifted by 4 cm and more
-    assert found.reason == "" and table_in_object(found) is None
+    assert found.reason == "" and found.table_O is None
     assert re.search(r"is in no frame seen standing on the table, but at least (39|4\d) mm above it", found.note)
 
 
@@ -154,7 +154,7 @@ def test_the_table_is_the_one_it_stood_on_though_it_was_found_in_the_air(film):
     obj, frames, _ = film(ball=False)
     found = follow_object(frames[::-1], obj)  # lifted at first, and put down
     assert found.stands_in is not None and found.stands_in >= 5 and found.note == ""
-    plane = table_in_object(found)
+    plane = found.table_O
     assert np.abs(plane.height(obj.mesh.vertices).min()) < 3e-3
 
 

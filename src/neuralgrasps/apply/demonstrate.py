@@ -15,7 +15,7 @@ from functools import cache
 import numpy as np
 from scipy import ndimage
 
-from neuralgrasps.apply.demonstrate_checks import camera_trouble, depth_trouble
+from neuralgrasps.apply.demonstrate_checks import camera_trouble, check_given, depth_trouble
 from neuralgrasps.apply.demonstrate_rules import TableRules, table_support, transfer_under
 from neuralgrasps.apply.transfer import Constraint, TransferConfig, TransferResult
 from neuralgrasps.apply.transfer_query import TransferQuery, query_from_grasp
@@ -30,11 +30,11 @@ from neuralgrasps.human.video.sighting import HandFinder, JointSource, joints_bo
 from neuralgrasps.human.video.watch import HandTrack, WatchConfig, watch_hand
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame, camera_poses
-from neuralgrasps.perception.object_video import FollowedObject, Hidden, follow_object, table_in_object
+from neuralgrasps.perception.object_video import FollowedObject, Hidden, follow_object
 from neuralgrasps.planning.resting_plane import nearest_resting_plane
 from neuralgrasps.synthesis.support import Support
 
-_GLANCES = 24  # frames looked at for a hand before the object is looked for
+_GLANCES, _GLANCE_EVERY = 24, 5  # frames looked at for a hand before the object is; no farther apart in long videos
 _KNUCKLE = JOINT_NAMES.index("middle_mcp")
 _MASK_RIM = 4  # pixels round a hand's mask that are its, too
 _ARM_M = (0.02, 0.5, 0.05)  # where a forearm is: so far into the hand, so far behind the wrist, so wide there
@@ -147,6 +147,7 @@ def demonstrate(
             result says at which stage it failed, and why.
     """
     config = config or DemonstrateConfig()
+    check_given(frames, obj, hand)
     _check(frames, joints)
     if joints is None and detector is None:
         detector, reader = load_hand_eyes(reader)
@@ -186,7 +187,7 @@ def _watched(
     followed = follow_object(frames, obj, hidden=hidden, seed=so_far.seed)
     camera = camera_trouble(frames, obj, followed, hidden, seed=so_far.seed)
     clock("object")
-    so_far = replace(so_far, followed=followed, table_O=table_in_object(followed))
+    so_far = replace(so_far, followed=followed, table_O=followed.table_O)
     if camera or followed.reason:
         return replace(so_far, stage="object", reason=camera or followed.reason + depth_trouble(frames))
     track = watch_hand(
@@ -225,8 +226,8 @@ def _carried_over(
 
 
 def _doubtful(fitted: FittedHand) -> str:
-    why = f": {' '.join(fitted.reasons)}" if fitted.reasons else "."
-    return f"what was taken for the hand is one with a confidence of {fitted.confidence:.2f} only{why}"
+    why = "".join(f" {reason[:1].upper()}{reason[1:].rstrip('.')}." for reason in fitted.reasons)
+    return f"what was taken for the hand is one with a confidence of {fitted.confidence:.2f} only.{why}"
 
 
 def _first_table(frames: Sequence[Frame], followed: FollowedObject) -> Plane | None:
@@ -257,7 +258,9 @@ def _hidden(
     joints: Sequence[SeenJoints | None] | None,
 ) -> Hidden:
     """Pixels that may show the person, by frame: hand and forearm there, or in the nearest frame looked at."""
-    numbers = sorted({int(n) for n in np.linspace(0, len(frames) - 1, _GLANCES).round()})
+    last = len(frames) - 1
+    count = max(_GLANCES, 1 + -(-last // _GLANCE_EVERY))
+    numbers = sorted({int(n) for n in np.linspace(0, last, count).round()})
     boxes: dict[int, list[HandBox]] = {}
     for n in numbers:
         if joints is not None:

@@ -44,8 +44,8 @@ class FollowedObject:
         moves_from, lost_from: first frame in which it is no longer where it stood at first, or nowhere to be found;
             None: never.
         reason: why it was not found at all, "" when it was.
-        stands_in: first frame in which it stands at rest on the table; None: in none. table_O: the table in its frame
-            then, normal up. note: what that says against the table, in words, or "".
+        stands_in: first frame in which it stands at rest on the table; None: in none, or not found. table_O: the table
+            in its frame then, normal up. note: what that says against the table, in words, or "".
     """
 
     X_CO: np.ndarray
@@ -271,8 +271,3 @@ def _compare(view: Frame, obj: ObjectModel, X_CO: np.ndarray) -> _View:
     measured = depth[covered] > 0
     agree, through = measured & (np.abs(behind) < _AGREE_M), measured & (behind > _AGREE_M)
     return _View(float(agree.mean()), float(through.mean()))
-
-
-def table_in_object(followed: FollowedObject) -> Plane | None:
-    """The table in the object's frame as it stood, normal up; None when it was not found, or not seen to stand."""
-    return followed.table_O
