@@ -5,18 +5,24 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from neuralgrasps.apply.demonstrate import Demonstration
+from neuralgrasps.apply.transfer import TransferConfig
+from neuralgrasps.cli.demonstrate import _reason_with
 from neuralgrasps.cli.demonstrate_show import short_why
 from neuralgrasps.export.pick_plan import load_pick_plan
 from neuralgrasps.grasps.grasp_io import load_grasps
 from neuralgrasps.objects.zoo import load_object
 from tests.cli.conftest import Ended, Pipeline
+from tests.hands.conftest import three_finger_urdf
 from tests.human.shown import SCALE, shown_video, write_video
 
 Call = Callable[..., Ended]
@@ -128,6 +134,8 @@ def test_every_takes_some_frames_and_their_joints(ng: Call, video: Video, tmp_pa
         (("--object", "tomato_soup_cn"), "Did you mean 'tomato_soup_can'"),
         (("--hand", "fetsh"), "Did you mean 'fetch'"),
         (("--hand", "allegro", "--execute"), "--arm is missing: hand 'allegro' comes with none"),
+        (("--approach", "down"), "--approach is 'down'; it takes an axis and an angle, such as: down 30deg"),
+        (("--approach", "down", "30deg", "1"), "it takes an axis and an angle"),
         (("--arm", "panda"), "add --execute"),
         (("--video", "film.mp4"), "add --execute"),
         (("--execute", "--video", "film.avi"), "ending in .mp4"),
@@ -157,6 +165,14 @@ def test_bad_input_is_refused_before_the_work(
     assert message in ended.err
 
 
+def test_a_whole_robot_as_hand_is_offered_as_the_arm_too(ng: Call, video: Video, tmp_path: Path):
+    file = tmp_path / "robot.urdf"
+    file.write_text(three_finger_urdf())
+    ended = ng(*video.args, "--hand", file, "--execute")
+    assert ended.code == 2
+    assert f"Is 'robot.urdf' the whole robot? Then it is the arm too: --arm {file}." in ended.err
+
+
 def test_grasps_of_another_hand_are_refused(ng: Call, video: Video, pipeline: Pipeline):
     file = next(pipeline.grasps.rglob("*.safetensors"))
     ended = ng(*video.args, "--grasps", file)
@@ -171,6 +187,22 @@ def test_constraints_that_leave_nothing_say_what_would_do_without_them(ng: Call,
     assert "known grasps: of " in ended.result["reason"]
     assert "without the constraints one of similarity 0." in ended.result["reason"]
     assert ended.result["constraints"] == ["approach along -z within 2°", "keep top:0.45 free by 5 mm"]
+
+
+def test_what_would_hold_without_constraints_is_the_most_alike(monkeypatch):
+    """Not the one of which similarity is given up for a firmer hold."""
+
+    def found(query, hand, obj, *, config, **_):
+        alike = np.array([0.7, 0.9, 0.8]) if config.robust else np.array([0.9, 0.8, 0.7])
+        return SimpleNamespace(grasps=range(config.count), similarity=alike[: config.count])
+
+    monkeypatch.setattr("neuralgrasps.apply.transfer.transfer", found)
+    task = SimpleNamespace(known=None, hand=None, obj=None, config=TransferConfig(count=3, robust=0.08))
+    demo = Demonstration(object="box", hand="fetch", seed=0, stage="transfer", reason="none holds.", query="asked")
+    quiet = SimpleNamespace(progress=lambda _: nullcontext())
+    assert _reason_with(quiet, demo, task, None) == (
+        "none holds; without the constraints one of similarity 0.90 holds."
+    )
 
 
 def test_the_reason_printed_repeats_no_other_column():

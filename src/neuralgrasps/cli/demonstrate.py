@@ -14,7 +14,7 @@ from neuralgrasps.cli.models import source_text, warn_of_damage, warn_of_stand_i
 from neuralgrasps.cli.options import OptionalFile, OptionalFolder, OptionalText, check_seed
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal
-from neuralgrasps.cli.transfer import OptionalCone, Regions
+from neuralgrasps.cli.transfer import Regions
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from neuralgrasps.objects.object_model import ObjectModel
 
 Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
+Cone = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="AXIS ANGLE", help_behavior_hint="(optional), such as down 30deg")
+]
 Rgbd = Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")]
 _NOTHING_GIVEN = ShownSource()
 _RECORD_EVERY_S = 0.04
@@ -49,7 +52,7 @@ def demonstrate(
     method: Literal["both", "retrieve", "generate"] = "both",
     only_region: Regions = (),
     keep_free: Regions = (),
-    approach: OptionalCone = None,
+    approach: Cone = (),
     grasps: OptionalFile = None,
     flange: OptionalText = None,
     missing_meshes: Literal["error", "skip"] = "error",
@@ -99,7 +102,7 @@ def demonstrate(
     begun = time.perf_counter()
     manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
     obj = _open_object(terminal, object_name)
-    rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=approach)
+    rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=_cone(approach))
     shown = read_shown(terminal, rgbd, source)
     known = _known(terminal, obj, robot_hand, grasps)
     task = _Task(obj=obj, hand=robot_hand, known=known, rules=rules, config=_wanted(count, method), seed=seed)
@@ -146,6 +149,15 @@ def _wanted(count: int, method: Literal["both", "retrieve", "generate"]) -> Tran
     return replace(DemonstrateConfig().transfer, count=count, trials=trials, method=method)
 
 
+def _cone(texts: tuple[str, ...]) -> tuple[str, str] | None:
+    """The axis and the angle of --approach, which the parser would ask for in its own words."""
+    if not texts:
+        return None
+    if len(texts) != 2:
+        raise InputError(f"--approach is '{' '.join(texts)}'; it takes an axis and an angle, such as: down 30deg.")
+    return texts[0], texts[1]
+
+
 def _check_options(
     count: int, *, execute: bool, arm: str | None, video: Path | None, report: Path | None, out: Path | None
 ) -> None:
@@ -190,9 +202,17 @@ def _own_arm(hand: str) -> str:
     if hand in arm_names():
         return hand
     load_hand(hand)  # says what is wrong with it first
+    names = ", ".join(arm_names())
     raise InputError(
-        f"--arm is missing: hand '{hand}' comes with none. Give a name ({', '.join(arm_names())}) or a URDF file."
+        f"--arm is missing: hand '{hand}' comes with none. Give a name ({names}) or a URDF file.{_whole_robot(hand)}"
     )
+
+
+def _whole_robot(hand: str) -> str:
+    """What to do where the file of the hand is one of a whole robot."""
+    if Path(hand).suffix.lower() != ".urdf":
+        return ""
+    return f" Is '{Path(hand).name}' the whole robot? Then it is the arm too: --arm {hand}."
 
 
 def _open_object(terminal: Terminal, spec: str) -> ObjectModel:
@@ -256,11 +276,11 @@ def _reason_with(terminal: Terminal, demo: Demonstration, task: _Task, rules: Gr
         parts.append(f"known grasps: {rules.describe(task.hand, known.X_OH, known.q, known.q_pregrasp)}")
     with terminal.progress("without the constraints"):
         free = transfer(
-            demo.query, task.hand, task.obj, known=known, config=replace(task.config, count=1), seed=demo.seed,
-            support=demonstration_support(task.obj, demo.table_O),
+            demo.query, task.hand, task.obj, known=known, config=replace(task.config, count=1, robust=0.0),
+            support=demonstration_support(task.obj, demo.table_O), seed=demo.seed,
         )  # fmt: skip
     if len(free.grasps):
-        parts.append(f"without the constraints one of similarity {free.similarity[0]:.2f} holds")
+        parts.append(f"without the constraints one of similarity {free.similarity.max():.2f} holds")
     return "; ".join(parts) + "."
 
 
