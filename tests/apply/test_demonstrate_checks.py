@@ -8,12 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from neuralgrasps.apply.demonstrate import demonstrate
 from neuralgrasps.apply.demonstrate_checks import camera_trouble, depth_trouble
+from neuralgrasps.errors import InputError
 from neuralgrasps.geometry.camera import Intrinsics, look_at
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.primitives import box_mesh
 from neuralgrasps.geometry.raster import depth_images
 from neuralgrasps.geometry.se3_numpy import inverse_np
+from neuralgrasps.hands.zoo import load_hand
 from neuralgrasps.objects.zoo import load_object
 from neuralgrasps.perception.frame import Frame
 from neuralgrasps.perception.object_video import follow_object
@@ -26,6 +29,23 @@ def _frames(depth_m, *, measured=1.0, count=3):
     for row in depth[12:36]:
         row[16 : 48 - round(measured * 32)] = 0.0
     return [Frame(depth, CAMERA)] * count
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"frames": "video"}, r"frames is a str; expected frames: ng\.read_frames\('video'\)"),
+        ({"frames": ["a.png"]}, "frames is a list of str; expected frames"),
+        ({"frames": 3}, "frames is a int; expected frames"),
+        ({"frames": []}, "there are no frames"),
+        ({"obj": "mustard_bottle"}, "obj is a str; expected an object"),
+        ({"hand": "fetch"}, "hand is a str; expected a hand"),
+    ],
+)
+def test_names_in_place_of_things_are_refused(given, message):
+    things = {"frames": _frames(0.7), "obj": load_object("tomato_soup_can"), "hand": load_hand("fetch")} | given
+    with pytest.raises(InputError, match=message):
+        demonstrate(**things)
 
 
 def test_ordinary_depth_is_no_trouble():

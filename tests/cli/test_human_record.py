@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from neuralgrasps.cli.human_record import _missed
 from neuralgrasps.geometry.mesh import box_mesh
 from neuralgrasps.human.synthetic.files import read_truth
 from neuralgrasps.perception.frame_files import read_frames
@@ -50,6 +51,24 @@ def test_a_badly_seen_hand_is_asked_for_by_its_share(ng: Call, tmp_path: Path) -
     assert made.code == 0 and 0.4 <= record["visible_at_grasp"] <= 0.6
     assert record["visible_at_grasp"] == float(truth.visible[truth.grasp_frame])
     assert f"{100 * record['visible_at_grasp']:.0f} %" in made.out
+    assert "40 to 60 %" in made.out and "warning" not in made.err
+
+
+def test_a_share_that_was_not_reached_is_said() -> None:
+    made = [{"seed": 4, "visible_at_grasp": 0.69}, {"seed": 5, "visible_at_grasp": 0.3}]
+    said = _missed(made, (0.1, 0.3))
+    assert said.startswith("warning: 1 of 2 recordings could not be made with 10 to 30 % of the hand visible")
+    assert "69 % with seed 4." in said
+    assert _missed(made, (0.3, 0.7)) == "" and _missed(made, None) == ""
+
+
+def test_a_folder_that_holds_a_recording_is_refused_and_left_as_it_is(ng: Call, tmp_path: Path) -> None:
+    asked = ("human", "record", "--object", "gelatin_box", "--seed", 2, "--out", tmp_path)
+    (tmp_path / "001").mkdir()
+    (tmp_path / "001" / "truth.json").write_text("{}")
+    ended = ng(*asked, "--count", 2)
+    assert ended.code == 2 and "'" + str(tmp_path / "001") + "' holds a recording already" in ended.err
+    assert not (tmp_path / "000").exists() and (tmp_path / "001" / "truth.json").read_text() == "{}"
 
 
 def test_what_cannot_be_is_refused(ng: Call, tmp_path: Path) -> None:

@@ -185,3 +185,12 @@ def test_a_page_needs_no_pictures():
     figure = DemonstrationFigure(stages=(StageFigure(name="Object", text="found"),))
     page = parsed(DemoReport(title="t", command="c", demonstration=figure))
     assert [e.get("id") for e in page.iter() if e.tag.endswith("section")] == ["stages"]
+
+
+def test_a_reason_of_many_words_is_wrapped_in_the_table_of_stages(demo, obj, video):
+    failed = replace(demo, stage="transfer", reason="no grasp holds, " * 20)
+    story = DemonstrationStory(frames=video.frames, demo=failed, obj=obj, hand=load_hand("fetch"))
+    page = parsed(demonstration_report(story, robot="fetch", command="demonstrate"))
+    assert len(with_class(page, "words")) == 1
+    assert text_of(with_class(page, "words")[0]).startswith("no grasp holds, no grasp holds")
+    assert "fetch cannot repeat it, since the stage 'transfer' failed." in text_of(page)

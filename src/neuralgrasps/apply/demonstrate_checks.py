@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from neuralgrasps.errors import InputError
+from neuralgrasps.hands.hand import Hand
 from neuralgrasps.human.video.focal import parabola_factor
 from neuralgrasps.objects.object_model import ObjectModel
 from neuralgrasps.perception.frame import Frame
@@ -18,6 +20,23 @@ _NEAREST_M, _FARTHEST_M = 0.25, 2.0  # where the object is expected
 _FACTORS = (0.55, 0.65, 0.75, 0.87, 1.15, 1.33, 1.55, 1.8)  # focal lengths tried, times the given one
 _WELL = 0.93  # an object that is explained so well needs no other camera
 _SURE, _GAIN = 0.9, 0.1  # confidence, and how much better it is explained, from which another focal length is named
+
+
+def check_given(frames: object, obj: object, hand: object) -> None:
+    """Refuse names of things in place of the things.
+
+    Raises:
+        InputError: says which, and what makes the thing of the name.
+    """
+    few = frames[0] if isinstance(frames, Sequence) and frames and not isinstance(frames, str) else frames
+    listed = isinstance(frames, Sequence) and not isinstance(frames, str)
+    if not listed or not (isinstance(few, Frame) or few is frames):
+        said = f"list of {type(few).__name__}" if listed else type(frames).__name__
+        raise InputError(f"frames is a {said}; expected frames: ng.read_frames('video').")
+    if not isinstance(obj, ObjectModel):
+        raise InputError(f"obj is a {type(obj).__name__}; expected an object: ng.load_object('mustard_bottle').")
+    if not isinstance(hand, Hand):
+        raise InputError(f"hand is a {type(hand).__name__}; expected a hand: ng.load_hand('fetch').")
 
 
 def depth_trouble(frames: Sequence[Frame]) -> str:

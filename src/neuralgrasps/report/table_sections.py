@@ -14,6 +14,7 @@ from neuralgrasps.report.palette import HAND_COLOURS, hand_colour
 from neuralgrasps.report.sections import grid, pretty_name
 
 Cell = str | float | int | None
+_LINE = 60  # characters of a cell that stay on one line
 
 
 def synthesis_table(rows: Sequence[SynthesisRow]) -> Table:
@@ -145,7 +146,9 @@ def table_html(table: Table) -> str:
     head = "".join(f'<th{_num(n)} scope="col">{escape(c)}</th>' for c, n in zip(table.columns, numeric, strict=True))
     body = []
     for index, row in enumerate(table.rows):
-        cells = "".join(f"<td{_num(n)}>{_cell(value)}</td>" for value, n in zip(row, numeric, strict=True))
+        cells = "".join(
+            f"<td{_words(value) or _num(n)}>{_cell(value)}</td>" for value, n in zip(row, numeric, strict=True)
+        )
         strong = ' class="strong"' if index in table.strong_rows else ""
         body.append(f"<tr{strong}>{cells}</tr>")
     title = f"<h3>{escape(table.title)}</h3>" if table.title else ""
@@ -187,6 +190,11 @@ def _is_numeric(values: Sequence[Cell]) -> bool:
 
 def _num(numeric: bool) -> str:
     return ' class="num"' if numeric else ""
+
+
+def _words(value: Cell) -> str:
+    """The class of a cell whose text is so long that it needs more than one line."""
+    return ' class="words"' if isinstance(value, str) and len(value) > _LINE else ""
 
 
 def _percent(share: float | None) -> str | None:

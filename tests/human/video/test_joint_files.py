@@ -139,3 +139,13 @@ def test_files_that_cannot_be_read(tmp_path, shown):
     with pytest.raises(InputError, match="1 JSON files for 3 frames"):
         read_joints(folder, frames)
     assert _off(read_joints(folder, [replace(frames[2], name="x")])[0], points[2]) < 1e-9
+
+
+def test_joints_under_an_unknown_key_are_refused_and_the_known_ones_named(shown, tmp_path):
+    frames, _ = shown
+    with pytest.raises(
+        InputError, match=r"frame 1' has 'joint' and no joints; .* one of the keys joints_C, xyz, joints"
+    ):
+        read_joints(_write(tmp_path / "a.json", [None, {"joint": [[1.0, 2.0]] * 21}, None]), frames)
+    empty = [None, {"joints": [], "extra": [1]}, {"frame": 2, "score": [1.0]}]
+    assert read_joints(_write(tmp_path / "b.json", empty), frames) == [None] * 3

@@ -29,6 +29,7 @@ _POINT_KEYS: Mapping[str, Unit | None] = {
     "pixels": "pixels", "uv": "pixels", "landmarks": "normalised", "hand_landmarks": "normalised",
 }  # fmt: skip
 _SCORE_KEYS = ("score", "scores", "weight", "confidence", "visibility")
+_KNOWN_KEYS = {*_POINT_KEYS, *_SCORE_KEYS, "side", "handedness", "unit", "units"}
 _LENGTHS: Mapping[Unit, float] = {"metres": 1.0, "millimetres": 1e-3}
 _FARTHEST_M = 3.0
 
@@ -173,6 +174,7 @@ def _record(content: Any, source: str) -> JointRecord | None:
     fields = content if isinstance(content, dict) else {"joints": content}
     key = next((k for k in _POINT_KEYS if fields.get(k)), None)
     if key is None:
+        _refuse_unknown(fields, source)
         return None
     rows = fields[key]
     if len(rows) == 1 and isinstance(rows[0], list) and len(rows[0]) == NUM_JOINTS:
@@ -189,6 +191,17 @@ def _record(content: Any, source: str) -> JointRecord | None:
         side=_side(fields.get("side", fields.get("handedness")), source),
         source=Path(source.rsplit(", frame", 1)[0]).name,
     )  # fmt: skip
+
+
+def _refuse_unknown(fields: Mapping[str, Any], source: str) -> None:
+    """Refuse a record whose numbers are under a key that is not known, which is not one without a hand."""
+    strange = [k for k, v in fields.items() if isinstance(v, list | dict) and v and k not in _KNOWN_KEYS]
+    if strange and not any(k in fields for k in _POINT_KEYS):
+        named = ", ".join(f"'{k}'" for k in strange)
+        raise InputError(
+            f"'{source}' has {named} and no joints; expected a list of {NUM_JOINTS} under one of the keys "
+            f"{', '.join(_POINT_KEYS)}, or null where no hand is."
+        )
 
 
 def _numbers(rows: Any, source: str) -> tuple[np.ndarray, np.ndarray]:
