@@ -84,7 +84,7 @@ def test_what_slips_easily_is_chosen_later(box_world: BoxWorld, query: TransferQ
         config = replace(SHORT, robust=robust)
         return transfer(query, box_world.hand, box_world.obj, known=box_world.grasps, config=config)
 
-    alike, sturdy = asked(0.0), asked(1.0)
+    alike, sturdy = asked(TransferConfig().robust), asked(1.0)  # by default likeness alone decides
     assert (np.diff(alike.similarity) <= 1e-12).all() and (alike.weak == 0.0).all()
     check(sturdy, query, box_world.hand, box_world.obj, replace(SHORT, robust=1.0))
     cone = transfer_pair(box_world.hand, box_world.obj, "dexgraspbench").slippery

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from neuralgrasps.apply.transfer import TransferConfig, transfer
 from neuralgrasps.apply.transfer_kernels import margins
-from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
+from neuralgrasps.apply.transfer_pair import COMPARED, known_maps, target_of, transfer_pair, widest
 from neuralgrasps.apply.transfer_query import query_from_contacts, query_from_grasp, query_from_points
 from neuralgrasps.apply.transfer_search import rank_known
 from neuralgrasps.geometry.mesh import Mesh
@@ -120,3 +120,29 @@ def test_margins_are_of_this_mass_centre_and_these_contacts(box_world: BoxWorld)
     none, links = np.full_like(contacts[0], np.nan), np.full_like(contacts[2], -1)
     bare = replace(grasps, contact_points_O=none, contact_normals_O=none, contact_links=links)
     np.testing.assert_array_equal(known_maps(pair, bare, 0.02).margins, -1.0)
+
+
+def test_drawn_contacts_weigh_the_scale_as_they_weigh_differences(box_world: BoxWorld):
+    hand, obj, grasps = box_world.hand, box_world.obj, box_world.grasps
+    pair = transfer_pair(hand, obj, "dexgraspbench")
+    query = query_from_contacts(obj, grasps.contact_points_O[2][grasps.contact_links[2] >= 0])
+    maps = known_maps(pair, grasps, query.radius_m).maps
+
+    def apart(a: np.ndarray, b: np.ndarray) -> float:
+        return float(np.average(np.abs(a - b), weights=query.weight))
+
+    expected = max(apart(a, b) for a in [*maps, query.contact_map] for b in maps)
+    assert abs(expected - max(apart(query.contact_map, b) for b in maps)) > 0.01 * expected
+    assert abs(expected - known_maps(pair, grasps, query.radius_m).widest) > 0.01 * expected
+    result = transfer(query, hand, obj, known=grasps, config=TransferConfig(method="retrieve", count=1))
+    assert result.scale == pytest.approx(expected, rel=1e-5)
+
+
+def test_of_many_maps_some_are_compared():
+    maps = np.zeros((COMPARED, 4), np.float32)
+    maps[7] = 1.0
+    assert widest(maps) == 1.0 and widest(maps, np.array([0.5, 0.5, 0.0, 0.0])) == 1.0
+    assert widest(maps[:1]) == 0.0 == widest(maps[:0])
+    many = np.zeros((2 * COMPARED - 1, 4), np.float32)  # every second one is looked at
+    many[8], many[11] = 0.25, 1.0
+    assert widest(many) == 0.25

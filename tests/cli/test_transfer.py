@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import neuralgrasps
+from neuralgrasps.apply.transfer import TransferResult, transfer
 from tests.cli.conftest import Ended, Pipeline
 
 Call = Callable[..., Ended]
@@ -37,6 +40,22 @@ def test_the_same_seed_gives_the_same_grasps(ng: Call, pipeline: Pipeline, tmp_p
     asked = ("transfer", pipeline.run, *OBJECT, "--query", "panda", "--hand", "fetch", "--count", 2, "--seed", 4)
     first, again = (ng(*asked, "--out", tmp_path / "g.safetensors").result["results"] for _ in range(2))
     assert first == again and len(first) == 2
+
+
+def test_what_slips_easily_is_marked_where_it_counts(
+    ng: Call, pipeline: Pipeline, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = ("transfer", pipeline.run, *OBJECT, "--query", "panda", "--hand", "fetch", "--count", 2)
+    usual = ng(*asked, "--out", tmp_path / "g.safetensors")
+    assert not any("weak" in row for row in usual.result["results"]) and "weak" not in usual.out
+
+    def slippery(*args: Any, **kwargs: Any) -> TransferResult:
+        return replace(transfer(*args, **kwargs), weak=np.array([0.0, 0.0375]))
+
+    monkeypatch.setattr("neuralgrasps.apply.transfer.transfer", slippery)
+    sturdy = ng(*asked, "--out", tmp_path / "g.safetensors")
+    assert [row["weak"] for row in sturdy.result["results"]] == [0.0, 0.0375]
+    assert "weak" in sturdy.out and "0.037" in sturdy.out
 
 
 def test_files_of_grasps_and_points_are_queries_too(ng: Call, pipeline: Pipeline, tmp_path: Path) -> None:

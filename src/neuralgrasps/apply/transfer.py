@@ -2,13 +2,13 @@
 
 Known grasps that touch it alike are looked for first, in every orientation that the object cannot tell apart
 (retrieval). The best of them are then moved down the difference of the contact maps, closed, varied, and moved and
-closed again (generation). Candidates are tried in physics in the order of their likeness, as many as it takes: what
-comes first is the most alike that holds. One that slips easily counts as a little less alike (`TransferConfig.robust`).
+closed again (generation). Candidates are tried in physics in the order of their likeness, as many as it takes. With
+`TransferConfig.robust` one that slips easily is chosen as if it were less alike. The answer is listed by likeness.
 
 The number: `similarity` is 1 - d / scale, d the mean absolute difference of two contact maps over the object's contact
 points (weighted, for drawn contacts), and scale the largest d from the query to a known grasp or between two known
-grasps: 1 for equal maps, 0 for the farthest there are. It is the published measure of retrieval (Khargonkar et al.
-2022, Sec. 5: a matrix of distances divided by its largest), for one query.
+grasps, weighted alike: 1 for equal maps, 0 for the farthest there are. It is the published measure of retrieval
+(Khargonkar et al. 2022, Sec. 5: a matrix of distances divided by its largest), for one query.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from neuralgrasps.apply.transfer_config import Constraint, Method, TransferConfig
 from neuralgrasps.apply.transfer_kernels import Sturdy, weakness
 from neuralgrasps.apply.transfer_order import Candidate, Order
-from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair
+from neuralgrasps.apply.transfer_pair import known_maps, target_of, transfer_pair, widest
 from neuralgrasps.apply.transfer_query import TransferQuery
 from neuralgrasps.apply.transfer_reasons import why_here, why_short, why_unlike
 from neuralgrasps.apply.transfer_search import Ranked, SearchConfig, rank_known, search
@@ -43,12 +43,12 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TransferResult:
-    """Grasps of one hand that touch an object like the query, chosen by `similarity` less `weak`; most alike first.
+    """Grasps of one hand that touch an object like the query, chosen by `similarity` less `weak`, listed by similarity.
 
     Attributes:
         grasps: N of them, each held by the protocol; `grasps.verdicts` has the trial.
         similarity: (N,) see the module; map_difference: (N,) the mean absolute difference it is of.
-        weak: (N,) similarity that each counts as less alike by for slipping easily, see `TransferConfig.robust`.
+        weak: (N,) similarity that each counts as less alike by for slipping easily, 0 unless `TransferConfig.robust`.
         origin: N times "retrieved" or "generated". source: (N,) place in the known set that each is or comes from, -1:
             the query's palm.
         reasons: why each is there, in words.
@@ -186,7 +186,8 @@ class _Transfer:
             return 1.0
         weight = self.query.weight / self.query.weight.sum()
         own = np.abs(self.known.maps - self.query.contact_map) @ weight
-        return max(self.known.widest, float(own.max()), 1e-6)
+        even = float(np.ptp(weight)) == 0.0
+        return max(self.known.widest if even else widest(self.known.maps, weight), float(own.max()), 1e-6)
 
     def _ranked(self, count: int, *, turn: bool, free: bool = False) -> Ranked:
         """Known grasps most like the query; `free`: whether they are allowed does not matter."""

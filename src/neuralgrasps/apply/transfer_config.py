@@ -40,8 +40,9 @@ class TransferConfig:
         search: how new grasps are looked for; sturdy: those whose epsilon is below this share of the known grasps'
             median are dropped: they would hold less often than known ones where friction or weight are not as told.
         robust: similarity that is given up for a grasp that would hold at half the friction as well as known ones
-            usually do, rather than only just (`transfer_kernels.weakness`); 0: the most alike comes first, as always
-            where known grasps are only retrieved.
+            usually do, rather than only just (`transfer_kernels.weakness`); not where known grasps are only retrieved.
+            By default nothing: on stand-ins (5 hands, 210 grasps of other hands, count 1), 0.08 cost 0.009 similarity,
+            and 0.914 held at half the friction for 0.910. Jaws alone (168 others) gained 0.036 for 0.013.
         synthesise: grasps that are made on the spot where none are known.
         scale: difference of contact maps that has similarity 0; None: the largest from the query to a known grasp, or
             between two known grasps.
@@ -57,7 +58,7 @@ class TransferConfig:
     per_source: int | None = 3
     search: SearchConfig = field(default_factory=SearchConfig)
     sturdy: float = 0.4
-    robust: float = 0.08
+    robust: float = 0.0
     synthesise: int = 40
     scale: float | None = None
     alike: float = 0.5

@@ -77,11 +77,10 @@ class Hands(NamedTuple):
 
 
 class MapWork(NamedTuple):
-    """What comparing maps overwrites: X_HL (L, 4, 4), X_PH (Np, 3, 4), centre_H (Np, 3), and the points."""
+    """What comparing maps overwrites: X_HL (L, 4, 4), X_PH (Np, 3, 4), and the points."""
 
     X_HL: np.ndarray
     X_PH: np.ndarray
-    centre_H: np.ndarray
     nearest: Nearest
 
 
@@ -90,8 +89,7 @@ def new_map(packed, target):  # type: ignore[no-untyped-def]
     """Room to compare maps of one hand at a target's points."""
     parts = packed.part_link.shape[0]
     return MapWork(
-        np.empty((packed.parents.shape[0], 4, 4)), np.empty((parts, 3, 4)), np.empty((parts, 3)),
-        new_nearest(target.points.shape[0]),
+        np.empty((packed.parents.shape[0], 4, 4)), np.empty((parts, 3, 4)), new_nearest(target.points.shape[0])
     )  # fmt: skip
 
 
@@ -99,7 +97,8 @@ def new_map(packed, target):  # type: ignore[no-untyped-def]
 def map_difference(packed, target, X_OH, q, work):  # type: ignore[no-untyped-def]
     """Weighted mean |difference| of a posed hand's contact map and the target; `work` is a `MapWork`."""
     pose_links(packed, q, work.X_HL)
-    part_poses_H(packed, work.X_HL, work.X_PH, work.centre_H)
+    centres_H = np.empty((packed.part_link.shape[0], 3))  # nobody asks for them here
+    part_poses_H(packed, work.X_HL, work.X_PH, centres_H)
     points_in_hand(X_OH, target.points, work.nearest.points_A)
     nearest_parts(packed, work.X_PH, work.nearest)
     total, distance = 0.0, work.nearest.distance
@@ -251,7 +250,8 @@ def search_starts(pair, target, hands, sturdy, nearest, running, X_OH, q, differ
             pair, X_OH[i], q_start, q[i], scratch.X_HL, count, links, scratch.busy, scratch.close, scratch.poses
         )
         if outcome[i] == VALID:
-            held = margin(sturdy.cone, points, normals, count, wrenches, scratch.quality, force)
-            weak[i] = weakness(sturdy, held)
+            if sturdy.give > 0.0:
+                held = margin(sturdy.cone, points, normals, count, wrenches, scratch.quality, force)
+                weak[i] = weakness(sturdy, held)
             if running:
                 _insert(nearest, difference[i] + weak[i])

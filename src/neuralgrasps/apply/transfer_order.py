@@ -1,4 +1,4 @@
-"""Candidates of a transfer in the order of their likeness, each finished and tried only when its turn comes."""
+"""Candidates of a transfer by difference and weakness, each finished and tried only when its turn comes."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Candidate:
 
 
 class Order:
-    """A queue of candidates, the most alike first.
+    """A queue of candidates, those first whose difference and weakness are least together.
 
     Attributes:
         sturdy: what counts as weak, and the least epsilon of grasps that are new. tried: trials so far.
@@ -88,9 +88,9 @@ class Order:
         heapq.heappush(self._queue, (rough * item.difference + item.weak, index))
 
     def best(self, count: int) -> list[Candidate]:
-        """Up to `count` that hold, apart from each other, and few from one source; the most alike first.
+        """Up to `count` that hold, apart from each other, and few from one source.
 
-        They are chosen by difference and weakness together.
+        They are chosen by difference and weakness together, and listed by difference: the most alike first.
 
         What is nearer to others than wanted, or of a source that has given enough, fills up the answer when there is
         nothing else, or most trials are used up; twice as many from a source then, and half as far apart.

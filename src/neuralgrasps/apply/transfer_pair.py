@@ -30,6 +30,7 @@ from neuralgrasps.synthesis.squeeze import PREGRASP_JAW_M, PREGRASP_RAD, joint_s
 SPARSE = 256  # contact points that the search compares maps at; results are compared at all
 PROBES_M = 0.008  # spacing of the hand's points that the descent keeps out of the object
 SLIPPERY = 0.5  # share of the friction at which grasps are compared by how well they would hold
+COMPARED = 300  # known grasps that are compared with each other, at most
 CLOSING_OVERLAP_M = 0.001  # that closing may leave; settling takes it away
 
 
@@ -58,7 +59,7 @@ class TransferPair:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class KnownMaps:
-    """Known grasps with their contact maps (N, P) float32, and the largest distance between two of them.
+    """Known grasps with their contact maps (N, P) float32, and the largest distance between two of them (`widest`).
 
     `margins` (N,) say how well they would hold where it is slippery, see `transfer_kernels.margin`.
     """
@@ -90,12 +91,27 @@ def known_maps(pair: TransferPair, grasps: GraspSet, radius_m: float) -> KnownMa
 
     def make() -> KnownMaps:
         maps = contact_map_packed(problem.obj.points_O, problem.packed, grasps.X_OH, grasps.q, radius=radius_m)
-        far = [float(np.abs(maps[i + 1 :] - maps[i]).mean(axis=1).max()) for i in range(len(maps) - 1)]
-        return KnownMaps(
-            grasps=grasps, maps=maps, widest=max(far, default=0.0), margins=margins(pair.slippery, *contacts)
-        )
+        return KnownMaps(grasps=grasps, maps=maps, widest=widest(maps), margins=margins(pair.slippery, *contacts))
 
     return replace(_KNOWN.get(key, make), grasps=grasps)
+
+
+def widest(maps: np.ndarray, weight: np.ndarray | None = None) -> float:
+    """Largest mean absolute difference between two of the contact maps (N, P), 0 where there are no two.
+
+    Of more than `COMPARED` maps so many are compared, evenly spread over their order; the time would grow with N².
+
+    Args:
+        weight: (P,) of the points, of sum 1; None: all count alike.
+    """
+    if len(maps) > COMPARED:
+        maps = maps[np.linspace(0, len(maps) - 1, COMPARED).round().astype(np.int64)]
+    largest = 0.0
+    for i in range(len(maps) - 1):
+        apart = np.abs(maps[i + 1 :] - maps[i])
+        mean = apart.mean(axis=1) if weight is None else apart @ weight.astype(apart.dtype)
+        largest = max(largest, float(mean.max()))
+    return largest
 
 
 def forget() -> None:

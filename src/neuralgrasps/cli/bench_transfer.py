@@ -19,7 +19,8 @@ _NOTES = {
     "transfer_success": "first result holds in dexgraspbench, of all queries. The transfer tries its candidates in "
     "dexgraspbench-quick, whose forces end once nothing moves, until one holds; the whole trial judges what it gave. "
     "transfer_success_hard (half of the friction) and _shake (the object's own weight and friction) are the same "
-    "grasps under protocols that chose nothing, beside the shares of the known grasps there",
+    "grasps under protocols that chose nothing, beside the shares of the known grasps there. Where robust is above 0 "
+    "the margin at half the friction has a say in the choice, and only _shake is independent",
     "similarity": "1 - d / D: d the mean absolute difference of contact maps at 2,048 points; D the largest d of the "
     "object's matrix of unseen and known grasps of all hands (the published normalisation)",
     "transfer_without_result": "number of queries for which nothing that holds was found; they are in "

@@ -170,7 +170,7 @@ def _without_constraints(task: TransferTask, known: GraspSet) -> float | None:
 
     config = replace(task.config, method="retrieve")
     free = carry_over(task.asked.query, task.hand, task.asked.obj, known=known, config=config, seed=task.seed)
-    return float(free.similarity[0]) if len(free.grasps) else None
+    return float(free.similarity.max()) if len(free.grasps) else None
 
 
 def _write(

@@ -56,7 +56,7 @@ def _key_figures(result: TransferResult, record: Mapping[str, Any]) -> tuple[Key
         f"best of {counted(record['known'], 'known grasp')}: {result.oracle:.3f}" if np.isfinite(result.oracle) else ""
     )
     return (
-        KeyFigure(value=f"{result.similarity[0]:.3f}", label="contact similarity of the first", note=known),
+        KeyFigure(value=f"{result.similarity.max():.3f}", label="contact similarity of the best", note=known),
         KeyFigure(value=str(len(result.grasps)), label="grasps held in physics", note=f"{record['tried']} tried anew"),
         KeyFigure(value=str(generated), label="of these found by search", note="the others were known"),
     )

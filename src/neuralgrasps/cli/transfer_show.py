@@ -38,13 +38,14 @@ def transfer_record(task: TransferTask, result: TransferResult, known: GraspSet)
 
 
 def grasp_rows(result: TransferResult) -> list[dict[str, Any]]:
-    """What is known of each grasp of a transfer, in their order."""
+    """What is known of each grasp of a transfer, in their order; `weak` where it had a say."""
     grasps = result.grasps
     verdict = grasps.verdicts.get(grasps.protocol)
     return [
         {
             "rank": i + 1,
             "similarity": float(result.similarity[i]),
+            **({"weak": float(result.weak[i])} if result.weak.any() else {}),
             "origin": result.origin[i],
             "epsilon": float(grasps.epsilon[i]),
             "held": None if verdict is None else bool(verdict.success[i]),
@@ -89,13 +90,14 @@ def show_transfer(terminal: Terminal, record: Mapping[str, Any]) -> None:
 
 def _show_rows(terminal: Terminal, rows: Sequence[Mapping[str, Any]]) -> None:
     free = any(r["clearance_mm"] is not None for r in rows)
-    drawn = "touched" in rows[0]
+    drawn, weak = "touched" in rows[0], "weak" in rows[0]
     columns = (
-        *("rank", "similarity", "from", "epsilon", "moved, mm"), *(("clear by, mm",) if free else ()),
-        *(("drawn points touched", "off, mm") if drawn else ()),
+        *("rank", "similarity"), *(("weak",) if weak else ()), *("from", "epsilon", "moved, mm"),
+        *(("clear by, mm",) if free else ()), *(("drawn points touched", "off, mm") if drawn else ()),
     )  # fmt: skip
     cells = [
-        (r["rank"], f"{r['similarity']:.3f}", r["origin"], f"{r['epsilon']:.3f}", f"{r['moved_mm']:.1f}",
+        (r["rank"], f"{r['similarity']:.3f}", *((f"{r['weak']:.3f}",) if weak else ()),
+         r["origin"], f"{r['epsilon']:.3f}", f"{r['moved_mm']:.1f}",
          *((f"{r['clearance_mm']:.0f}",) if free else ()),
          *((r["touched"], f"{r['points_off_mm']:.1f}") if drawn else ()))
         for r in rows

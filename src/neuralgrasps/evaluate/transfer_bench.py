@@ -23,7 +23,7 @@ from neuralgrasps.parallel import run_tasks
 from neuralgrasps.sim.validate import validate_grasps
 
 PROTOCOL = "dexgraspbench"  # whole trial that judges the first results; the transfer tries by its own
-OTHERS = ("dexgraspbench-hard", "shake")  # chose nothing either
+OTHERS = ("dexgraspbench-hard", "shake")  # chose nothing either, unless `robust` weighs half the friction
 _SHORTLIST = 40  # turned known grasps, by maps read off a table, whose exact maps decide the oracle
 
 
