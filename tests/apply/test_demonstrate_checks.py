@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from neuralgrasps.apply.demonstrate import demonstrate
+from neuralgrasps.apply.demonstrate import Demonstration, _doubtful, demonstrate
 from neuralgrasps.apply.demonstrate_checks import camera_trouble, depth_trouble
 from neuralgrasps.errors import InputError
+from neuralgrasps.evaluate.demonstrate_execute import execute_demonstration
 from neuralgrasps.geometry.camera import Intrinsics, look_at
 from neuralgrasps.geometry.mesh import Mesh, merge_meshes
 from neuralgrasps.geometry.primitives import box_mesh
@@ -107,3 +109,14 @@ def test_the_true_focal_length_is_not_doubted_nor_is_any_named_for_another_thing
 
 def nobody(_):
     return None
+
+
+def test_reasons_are_sentences_of_their_own_and_end_once():
+    fitted = SimpleNamespace(confidence=0.1, reasons=("they are not of one", "the frame shows only 33 %."))
+    assert _doubtful(fitted) == (
+        "what was taken for the hand is one with a confidence of 0.10 only. They are not of one. "
+        "The frame shows only 33 %."
+    )
+    failed = Demonstration(object="can", hand="fetch", seed=0, stage="transfer", reason="none holds.")
+    with pytest.raises(InputError, match="was transferred: none holds; there is nothing to execute"):
+        execute_demonstration(failed, None, None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -118,6 +119,28 @@ def test_a_frame_without_depth_is_left_out_and_said(ng: Call, video: Video, no_d
     assert ended.result["frame_numbers"] == [0, 2, 3, 4, 5, 6]
 
 
+def test_pictures_without_depth_are_said_and_frames_called_by_their_files(ng: Call, video: Video, tmp_path: Path):
+    folder = tmp_path / "video"
+    shutil.copytree(video.folder, folder)
+    for k in range(7):
+        Image.fromarray(np.zeros((240, 320, 3), np.uint8)).save(_made(folder / "rgb") / f"{k:06d}.png")
+    for k in (0, 2):
+        (folder / "depth" / f"{k:06d}.png").unlink()
+    records = json.loads(video.joints.read_text())["frames"]
+    joints = tmp_path / "by_name.json"
+    joints.write_text(json.dumps({f"{k:06d}": r for k, r in enumerate(records)}))
+    ended = ng("demonstrate", "--rgbd", folder, "--object", OBJECT, "--joints", joints, "--count", 1)
+    assert "warning: 2 of 7 frames have no depth and are left out (000000, 000002)." in ended.err
+    assert "sure, in frame 00000" in ended.result["stages"][0]["text"]
+    moment = ended.result["frame_names"][ended.result["person"]["moment"]]
+    assert f"in frame {moment}" in ended.result["stages"][4]["text"]
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
 def test_every_takes_some_frames_and_their_joints(ng: Call, video: Video, tmp_path: Path):
     records = json.loads(video.joints.read_text())["frames"]
     joints = tmp_path / "few.json"
@@ -184,7 +207,14 @@ def test_constraints_that_leave_nothing_say_what_would_do_without_them(ng: Call,
     ended = ng(*video.args, "--count", 1, "--approach", "-z", "2deg", "--keep-free", "top:0.45")
     assert ended.code == 1
     assert ended.result["stage"] == "transfer"
-    assert "known grasps: of " in ended.result["reason"]
+    said = re.match(
+        r"no grasp of hand 'fetch' meets all conditions \((\d+) known, (\d+) made for this\): of (\d+) candidates, "
+        r"'approach along -z within 2°' takes .*; 0 left; without the constraints one",
+        ended.result["reason"],
+    )
+    assert said is not None, ended.result["reason"]
+    assert int(said[1]) + int(said[2]) == int(said[3])
+    assert "'clear of the table' takes" in said[0]
     assert "without the constraints one of similarity 0." in ended.result["reason"]
     assert ended.result["constraints"] == ["approach along -z within 2°", "keep top:0.45 free by 5 mm"]
 

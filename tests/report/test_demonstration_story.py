@@ -40,7 +40,7 @@ from neuralgrasps.report.demonstration_pictures import (
     moving_overlay,
     strip_pictures,
 )
-from neuralgrasps.report.demonstration_stages import demonstration_stages
+from neuralgrasps.report.demonstration_stages import demonstration_stages, with_names
 from neuralgrasps.report.hand_overlay import HandLayers
 from neuralgrasps.report.sections import PictureEncoder
 from neuralgrasps.report.transfer_sections import transfer_list_section
@@ -233,6 +233,13 @@ def test_stages_of_the_robot_say_place_time_and_height(carried) -> None:
     assert stage(carried, "Plan", unplanned) == ("failed", "", "all in collision")
     assert stage(carried, "Lift", unplanned)[0] == "not reached"
     assert stage(carried, "Plan", None) == ("failed", "", "nothing was tried.")
+
+
+def test_frames_in_a_text_are_called_by_their_names() -> None:
+    names = [f"{10 * k:06d}" for k in range(6)]
+    said = "within 68 mm, in frame 4. Another hand is seen in frames 1 to 5, of 3 frames; frame 9"
+    expected = "within 68 mm, in frame 000040. Another hand is seen in frames 000010 to 000050, of 3 frames; frame 9"
+    assert with_names(said, names) == expected
 
 
 def test_doubts_and_losses_are_said_at_their_stage(moving, video) -> None:

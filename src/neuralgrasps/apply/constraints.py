@@ -185,9 +185,14 @@ class GraspConstraints:
         """Condition in words -> (N,) bool, which grasps meet it; arguments as for `allows`."""
         return {name: check(hand, X_OH, q, q_pregrasp) for name, check in self._checks().items()}
 
-    def describe(self, hand: Hand, X_OH: np.ndarray, q: np.ndarray, q_pregrasp: np.ndarray | None = None) -> str:
-        """Which condition took away how many of N grasps, and how many are left, in one sentence."""
-        verdicts = self.verdicts(hand, X_OH, q, q_pregrasp)
+    def describe(
+        self, hand: Hand, X_OH: np.ndarray, q: np.ndarray, q_pregrasp: np.ndarray | None = None, *,
+        support: Support | None = None,
+    ) -> str:  # fmt: skip
+        """Which condition took away how many of N grasps, and how many are left; `support`: a table to clear, too."""
+        verdicts = dict(self.verdicts(hand, X_OH, q, q_pregrasp))
+        if support is not None:
+            verdicts["clear of the table"] = support.allows(hand, X_OH, q, q_pregrasp)
         count = len(X_OH)
         if not verdicts or not count:
             return f"{count} candidates, {'no constraints' if not verdicts else str(self)}"

@@ -94,6 +94,15 @@ def transfer_under(
     seed: int,
 ) -> TransferResult:
     """`transfer`; where few known grasps clear the table or meet the constraints, new ones are made for these first."""
+    known = known_under(hand, obj, known=known, config=config, support=support, constraints=constraints, seed=seed)
+    return transfer(query, hand, obj, known=known, config=config, support=support, constraints=constraints, seed=seed)
+
+
+def known_under(
+    hand: Hand, obj: ObjectModel, *, known: GraspSet | None, config: TransferConfig, support: Support | None,
+    constraints: Constraint | None, seed: int,
+) -> GraspSet | None:  # fmt: skip
+    """The known grasps with those that are made for a table or constraints that few of them meet; made once, kept."""
     enough = min(config.count, ENOUGH)
     if known is not None and support is not None and len(known):
         clear = support.allows(hand, known.X_OH, known.q, known.q_pregrasp)
@@ -106,7 +115,7 @@ def transfer_under(
         known = with_constrained(
             constraints, hand, known, protocol=config.protocol, enough=enough, support=support, seed=seed
         )
-    return transfer(query, hand, obj, known=known, config=config, support=support, constraints=constraints, seed=seed)
+    return known
 
 
 def _needs_up(fields: Mapping[str, Any]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,6 +19,8 @@ from neuralgrasps.cli.transfer import Regions
 from neuralgrasps.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from neuralgrasps.apply.constraints import GraspConstraints
     from neuralgrasps.apply.demonstrate import Demonstration
     from neuralgrasps.apply.demonstrate_rules import TextRules
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
     from neuralgrasps.grasps.grasp_set import GraspSet
     from neuralgrasps.hands.hand import Hand
     from neuralgrasps.objects.object_model import ObjectModel
+    from neuralgrasps.synthesis.support import Support
 
 Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 Cone = Annotated[
@@ -113,7 +117,7 @@ def demonstrate(
     story = DemonstrationStory(
         frames=shown.frames, demo=demo, obj=obj, hand=robot_hand, executed=execute, trial=trial, rules=task.bound(demo),
         seconds=_robot_seconds(trial, time.perf_counter() - carried), compiled=compile_s >= WORTH_SAYING_S,
-        named=source.every > 1,
+        named=shown.named,
     )  # fmt: skip
     result = demonstration_record(story, shown.numbers) | {
         "rgbd": str(rgbd), "arm": None if manipulator is None else manipulator.arm.name, "seed": seed,
@@ -259,29 +263,69 @@ def _watched(terminal: Terminal, shown: Shown, task: _Task, *, side: Literal["ri
             shown.frames, task.obj, task.hand, joints=shown.joints, side=side, known=task.known,
             constraints=task.rules, seed=task.seed, config=DemonstrateConfig(transfer=task.config),
         )  # fmt: skip
+    if shown.named:
+        demo = _by_name(demo, [frame.name for frame in shown.frames])
     bound = task.bound(demo)
     if demo.stage != "transfer" or bound is None:
         return demo
     return replace(demo, reason=_reason_with(terminal, demo, task, bound))
 
 
-def _reason_with(terminal: Terminal, demo: Demonstration, task: _Task, rules: GraspConstraints) -> str:
+def _by_name(demo: Demonstration, names: Sequence[str]) -> Demonstration:
+    """The same with frames called by the names of their files in all that is said."""
+    from neuralgrasps.report.demonstration_stages import with_names
+
+    track = demo.track
+    if track is not None:
+        reasons = tuple(with_names(reason, names) for reason in track.reasons)
+        track = replace(track, reason=with_names(track.reason, names), reasons=reasons)
+    return replace(demo, reason=with_names(demo.reason, names), track=track)
+
+
+def _reason_with(terminal: Terminal, demo: Demonstration, task: _Task, rules: GraspConstraints | None) -> str:
     """Why no grasp was found under the constraints: what each takes, and what would hold without them."""
     from neuralgrasps.apply.demonstrate import demonstration_support
     from neuralgrasps.apply.transfer import transfer
 
     assert demo.query is not None
-    known, parts = task.known, [demo.reason.rstrip(".")]
-    if known is not None and len(known):
-        parts.append(f"known grasps: {rules.describe(task.hand, known.X_OH, known.q, known.q_pregrasp)}")
+    support = demonstration_support(task.obj, demo.table_O)
+    parts = [_what_was_taken(task, rules, support) or demo.reason.rstrip(".")]
     with terminal.progress("without the constraints"):
         free = transfer(
-            demo.query, task.hand, task.obj, known=known, config=replace(task.config, count=1, robust=0.0),
-            support=demonstration_support(task.obj, demo.table_O), seed=demo.seed,
+            demo.query, task.hand, task.obj, known=task.known, config=replace(task.config, count=1, robust=0.0),
+            seed=demo.seed, support=support,
         )  # fmt: skip
     if len(free.grasps):
-        parts.append(f"without the constraints one of similarity {free.similarity.max():.2f} holds")
+        parts.append(f"without the constraints one of similarity {free.similarity[0]:.2f} holds")
     return "; ".join(parts) + "."
+
+
+def _what_was_taken(task: _Task, rules: GraspConstraints | None, support: Support | None) -> str:
+    """What each condition takes of all grasps there were, where it leaves none; else ""."""
+    from neuralgrasps.apply.demonstrate_rules import known_under
+
+    if rules is None:
+        return ""
+    all_of_them = known_under(
+        task.hand, task.obj, known=task.known, config=task.config, support=support, constraints=rules, seed=task.seed
+    )
+    if all_of_them is None or not len(all_of_them):
+        return ""
+    X_OH, q, q_pregrasp = all_of_them.X_OH, all_of_them.q, all_of_them.q_pregrasp
+    if (rules.allows(task.hand, X_OH, q, q_pregrasp) & _clear(task.hand, all_of_them, support)).any():
+        return ""
+    known = 0 if task.known is None else len(task.known)
+    said = rules.describe(task.hand, X_OH, q, q_pregrasp, support=support)
+    made = len(all_of_them) - known
+    return f"no grasp of hand '{task.hand.name}' meets all conditions ({known} known, {made} made for this): {said}"
+
+
+def _clear(hand: Hand, grasps: GraspSet, support: Support | None) -> np.ndarray:
+    import numpy as np
+
+    if support is None:
+        return np.ones(len(grasps), np.bool_)
+    return support.allows(hand, grasps.X_OH, grasps.q, grasps.q_pregrasp)
 
 
 def _executed(

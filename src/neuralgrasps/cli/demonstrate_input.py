@@ -22,6 +22,7 @@ OptionalSide = Annotated[
     Literal["right", "left"] | None, tyro.conf.arg(metavar="right|left", help_behavior_hint="(default: decided)")
 ]
 _MOST_FRAMES = 600  # 3 MB each
+_NAMED = 3  # of the frames that are left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,11 +59,15 @@ class ShownSource:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shown:
-    """Frames in order of time, their places among all of the folder, and joints read by another tool, or None."""
+    """Frames in order of time, their places among all of the folder, and joints read by another tool, or None.
+
+    named: messages call them by their files' names, since their numbers here are not those of the files.
+    """
 
     frames: list[Frame]
     numbers: list[int]
     joints: list[SeenJoints | None] | None = None
+    named: bool = False
 
 
 ShownOptions = Annotated[ShownSource, tyro.conf.arg(name="")]
@@ -99,6 +104,25 @@ def read_shown(terminal: Terminal, rgbd: Path, given: ShownSource) -> Shown:
             f"{every}, or cut the video."
         )
     shown = _read_frames(terminal, pending, numbers)
+    named = _say_missing(terminal, rgbd, len(pending)) or given.every > 1 or len(shown.numbers) < len(pending)
+    return replace(_with_joints(terminal, shown, given), named=named)
+
+
+def _say_missing(terminal: Terminal, rgbd: Path, count: int) -> bool:
+    """Say which frames have a picture and no depth, so that they are not among the `count` frames; whether any."""
+    from neuralgrasps.perception.frame_files import names_without_depth
+
+    missing = names_without_depth(rgbd) if rgbd.is_dir() and not (rgbd / "scene_camera.json").exists() else []
+    if missing:
+        first = ", ".join(missing[:_NAMED]) + (", ..." if len(missing) > _NAMED else "")
+        terminal.complain(
+            f"warning: {len(missing)} of {counted(count + len(missing), 'frame')} have no depth and are left out "
+            f"({first})."
+        )
+    return bool(missing)
+
+
+def _with_joints(terminal: Terminal, shown: Shown, given: ShownSource) -> Shown:
     if given.joints is not None:
         from neuralgrasps.human.video.joint_files import read_joints
 

@@ -63,7 +63,7 @@ def execute_demonstration(
     """
     grasps = demonstration.grasps
     if grasps is None or len(grasps) == 0:
-        why = f": {demonstration.reason}" if demonstration.reason else ""
+        why = f": {demonstration.reason.rstrip('.')}" if demonstration.reason else ""
         raise InputError(f"no grasp was transferred{why}; there is nothing to execute.")
     if grasps.hand != manipulator.hand.name:
         raise InputError(

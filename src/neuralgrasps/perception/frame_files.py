@@ -102,13 +102,7 @@ def list_frames(folder: Path) -> list[FrameFiles]:
         raise InputError(f"folder of frames '{folder}' does not exist.")
     if (folder / "scene_camera.json").exists():
         raise InputError(f"'{folder}' is a scene folder of a BOP data set; read it with `read_bop_scene`.")
-    found: dict[str, dict[str, Path]] = {}
-    for path in sorted(folder.iterdir()):
-        if path.is_dir() and path.name.lower() in _KINDS:
-            for inner in sorted(path.iterdir()):
-                _note(found, inner.stem, _KINDS[path.name.lower()], inner)
-        elif match := _NAME.match(path.stem):
-            _note(found, match["stem"], _KINDS[match["kind"].lower()], path)
+    found = _by_stem(folder)
     frames = [
         FrameFiles(name=stem or folder.name, **kinds) for stem, kinds in sorted(found.items()) if "depth" in kinds
     ]
@@ -119,6 +113,23 @@ def list_frames(folder: Path) -> list[FrameFiles]:
             f"NAME-color.png beside it, or folders depth and rgb. It holds {have}."
         )
     return frames
+
+
+def names_without_depth(folder: Path) -> list[str]:
+    """Names of the colour images of a folder that have no depth image, and so are no frames of `list_frames`."""
+    return sorted(stem for stem, kinds in _by_stem(Path(folder)).items() if "depth" not in kinds and "colour" in kinds)
+
+
+def _by_stem(folder: Path) -> dict[str, dict[str, Path]]:
+    """The files of a folder by their stem and kind."""
+    found: dict[str, dict[str, Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.is_dir() and path.name.lower() in _KINDS:
+            for inner in sorted(path.iterdir()):
+                _note(found, inner.stem, _KINDS[path.name.lower()], inner)
+        elif match := _NAME.match(path.stem):
+            _note(found, match["stem"], _KINDS[match["kind"].lower()], path)
+    return found
 
 
 def _note(found: dict[str, dict[str, Path]], stem: str, kind: str, path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,6 +13,7 @@ from neuralgrasps.evaluate.execute import Attempt, Trial
 from neuralgrasps.report.demonstration_content import StageFigure, Verdict
 from neuralgrasps.report.pose_page import percent_text
 
+_NUMBERED = re.compile(r"\b(frames?) (\d+)(?: to (\d+))?\b")
 SURE = 0.9  # a confidence below is a doubt
 _LENGTH_M = 0.252  # of the hand model at scale 1, wrist to middle fingertip
 
@@ -31,6 +33,19 @@ class Frames:
 
     def __call__(self, index: int) -> str:
         return f"frame {index if self._names is None else self._names[index]}"
+
+
+def with_names(text: str, names: Sequence[str]) -> str:
+    """A text with "frame 3" and "frames 3 to 5" by the names (T,) of these frames."""
+
+    def called(number: str) -> str:
+        return names[int(number)] if int(number) < len(names) and names[int(number)] else number
+
+    def renamed(match: re.Match[str]) -> str:
+        last = f" to {called(match[3])}" if match[3] else ""
+        return f"{match[1]} {called(match[2])}{last}"
+
+    return _NUMBERED.sub(renamed, text)
 
 
 def demonstration_stages(
