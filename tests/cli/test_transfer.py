@@ -145,6 +145,7 @@ def test_wrong_input_is_refused(ng: Call, pipeline: Pipeline, tmp_path: Path) ->
         ((*base, "--keep-free", "box:0,0,0,0,1,1"), "is empty"),
         ((*base, "--keep-free", "top:1"), "nothing is left to touch"),
         ((*base, "--only-region", "file:nowhere.ply"), "does not exist"),
+        ((*base, "--approach", "down"), "it takes an axis and an angle"),
         ((*base, "--approach", "-z", "0deg"), "holds no direction"),
         ((*base, "--approach", "-z", "30"), "has no unit"),
         ((*base, "--approach", "z", "30deg"), "approach axis 'z' is not known"),

@@ -12,7 +12,7 @@ import tyro
 
 from neuralgrasps.cli.demonstrate_input import Shown, ShownOptions, ShownSource, check_shown, read_shown
 from neuralgrasps.cli.models import source_text, warn_of_damage, warn_of_stand_ins
-from neuralgrasps.cli.options import OptionalFile, OptionalFolder, OptionalText, check_seed
+from neuralgrasps.cli.options import Cone, OptionalFile, OptionalFolder, OptionalText, check_seed, read_cone
 from neuralgrasps.cli.outputs import check_writable
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.cli.transfer import Regions
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
     from neuralgrasps.synthesis.support import Support
 
 Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
-Cone = Annotated[
-    tuple[str, ...], tyro.conf.arg(metavar="AXIS ANGLE", help_behavior_hint="(optional), such as down 30deg")
-]
 Rgbd = Annotated[Path, tyro.conf.arg(metavar="DIR|FILE")]
 _NOTHING_GIVEN = ShownSource()
 _RECORD_EVERY_S = 0.04
@@ -106,7 +103,7 @@ def demonstrate(
     begun = time.perf_counter()
     manipulator, robot_hand = _open_robot(hand, arm, flange, missing_meshes, execute=execute)
     obj = _open_object(terminal, object_name)
-    rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=_cone(approach))
+    rules = rules_from_text(obj, only_region=only_region, keep_free=keep_free, approach=read_cone(approach))
     shown = read_shown(terminal, rgbd, source)
     known = _known(terminal, obj, robot_hand, grasps)
     task = _Task(obj=obj, hand=robot_hand, known=known, rules=rules, config=_wanted(count, method), seed=seed)
@@ -151,15 +148,6 @@ def _wanted(count: int, method: Literal["both", "retrieve", "generate"]) -> Tran
 
     trials = max(3 * count // 2, _LEAST_TRIALS)
     return replace(DemonstrateConfig().transfer, count=count, trials=trials, method=method)
-
-
-def _cone(texts: tuple[str, ...]) -> tuple[str, str] | None:
-    """The axis and the angle of --approach, which the parser would ask for in its own words."""
-    if not texts:
-        return None
-    if len(texts) != 2:
-        raise InputError(f"--approach is '{' '.join(texts)}'; it takes an axis and an angle, such as: down 30deg.")
-    return texts[0], texts[1]
 
 
 def _check_options(

@@ -25,6 +25,9 @@ AllNames = Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME|FILE ...", hel
 NamePath = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME|FILE")]
 PositionalFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
 PositionalFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+Cone = Annotated[
+    tuple[str, ...], tyro.conf.arg(metavar="AXIS ANGLE", help_behavior_hint="(optional), such as down 30deg")
+]
 Unit = Literal["auto", "m", "mm", "cm", "inch"]
 
 
@@ -36,3 +39,16 @@ def check_seed(seed: int) -> None:
     """
     if seed < 0:
         raise InputError(f"--seed is {seed}; expected 0 or more.")
+
+
+def read_cone(texts: tuple[str, ...]) -> tuple[str, str] | None:
+    """The axis and the angle of --approach; None when it is not given.
+
+    Raises:
+        InputError: not two words.
+    """
+    if not texts:
+        return None
+    if len(texts) != 2:
+        raise InputError(f"--approach is '{' '.join(texts)}'; it takes an axis and an angle, such as: down 30deg.")
+    return texts[0], texts[1]

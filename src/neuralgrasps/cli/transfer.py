@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from neuralgrasps.cli.options import Names, OptionalFile, OptionalText, PositionalFolder, check_seed
+from neuralgrasps.cli.options import Cone, Names, OptionalFile, OptionalText, PositionalFolder, check_seed, read_cone
 from neuralgrasps.cli.outputs import check_writable, make_parent
 from neuralgrasps.cli.terminal import Outcome, Terminal
 from neuralgrasps.errors import InputError
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 Name = Annotated[str, tyro.conf.arg(metavar="NAME|FILE")]
 Regions = Annotated[tuple[str, ...], tyro.conf.arg(metavar="REGION ...", help_behavior_hint="(default: none)")]
 OptionalSide = Annotated[str | None, tyro.conf.arg(metavar="SIDE", help_behavior_hint="(optional)")]
-OptionalCone = Annotated[
-    tuple[str, str] | None, tyro.conf.arg(metavar="AXIS ANGLE", help_behavior_hint="(optional), such as -z 30deg")
-]
 OptionalQuery = Annotated[str | None, tyro.conf.arg(metavar="FILE|HAND[:ROW]", help_behavior_hint="(optional)")]
 
 
@@ -43,7 +40,7 @@ def transfer(
     only_region: Regions = (),
     keep_free: Regions = (),
     margin: float = 0.005,
-    approach: OptionalCone = None,
+    approach: Cone = (),
     up: OptionalSide = None,
     protocol: str = "dexgraspbench",
     seed: int = 0,
@@ -95,7 +92,9 @@ def transfer(
 
     check_seed(seed)
     config = TransferConfig(method=method, count=count, protocol=protocol)
-    wanted = constraint_fields(only_region=only_region, keep_free=keep_free, approach=approach, up=up, margin_m=margin)
+    wanted = constraint_fields(
+        only_region=only_region, keep_free=keep_free, approach=read_cone(approach), up=up, margin_m=margin
+    )
     if sum(v is not None for v in (query, query_cloud, contacts)) != 1:
         raise InputError("give one query: --query FILE[:ROW] (or HAND:ROW), --query-cloud FILE or --contacts FILE.")
     _check_outputs(out, report)
