@@ -74,8 +74,8 @@ def test_a_known_grasp_is_found_again_and_new_ones_follow(box_world: BoxWorld, q
     check(result, query, box_world.hand, box_world.obj, SHORT)
     assert len(result.grasps) == 3 and result.reason == ""
     assert result.similarity[0] > 0.98 and result.oracle == pytest.approx(1.0, abs=1e-6)
-    assert result.reasons[0].startswith("closest contacts, ") and "against 1.00 of the best known" in result.reasons[0]
-    assert "contacts number 2 in closeness" in result.reasons[1]
+    assert result.reasons[0].startswith("most alike, ") and "against 1.00 of the best known" in result.reasons[0]
+    assert "number 2 in likeness" in result.reasons[1]
     assert "3 grasps by panda on brick" in repr(result)
 
 
@@ -151,7 +151,7 @@ def test_the_object_s_symmetry_turns_known_grasps(box_world: BoxWorld, make_obje
     result = transfer(query, box_world.hand, obj, known=box_world.grasps[:1], config=config)
     assert result.oracle > 0.97 > result.oracle_plain + 0.1
     assert result.similarity[0] > 0.9 and result.tried == 1  # a turned grasp is tried again
-    assert "known grasp 0 turned by the object's symmetry" in result.reasons[0]
+    assert "row 0 of the known grasps turned by the object's symmetry" in result.reasons[0]
     plain = transfer(query, box_world.hand, obj, known=box_world.grasps[:1], config=replace(config, use_symmetry=False))
     assert plain.similarity[0] == pytest.approx(plain.oracle_plain, abs=1e-6) and plain.oracle == plain.oracle_plain
 

@@ -237,7 +237,7 @@ def test_what_would_hold_without_constraints_is_the_most_alike(monkeypatch):
 
 def test_the_reason_printed_repeats_no_other_column():
     reason = (
-        "contacts number 2 in closeness, generated from known grasp 3; similarity 0.90 against 0.80 of the best known"
+        "number 2 in likeness, generated from row 3 of the known grasps; similarity 0.90 against 0.80 of the best known"
     )
-    assert short_why(f"{reason}; held in dexgraspbench") == "generated from known grasp 3"
+    assert short_why(f"{reason}; held in dexgraspbench") == "generated from row 3 of the known grasps"
     assert short_why("held in dexgraspbench") == "held in dexgraspbench"

@@ -23,9 +23,9 @@ _MOST = 400  # touched points that are looked at
 
 def why_here(place: int, item: Candidate, similarity: float, oracle: float, protocol: str) -> str:
     """One line: what it is, how alike, against what, and that it held."""
-    rank = "closest contacts" if place == 0 else f"contacts number {place + 1} in closeness"
+    rank = "most alike" if place == 0 else f"number {place + 1} in likeness"
     turned = " turned by the object's symmetry" if item.symmetry else ""
-    known = "the query's palm pose" if item.source < 0 else f"known grasp {item.source}{turned}"
+    known = "the query's palm pose" if item.source < 0 else f"row {item.source} of the known grasps{turned}"
     what = f"generated from {known}" if item.origin == "generated" else known
     beside = f" against {oracle:.2f} of the best known" if math.isfinite(oracle) else ""
     return f"{rank}, {what}; similarity {similarity:.2f}{beside}; held in {protocol}"

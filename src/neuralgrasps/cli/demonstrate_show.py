@@ -162,7 +162,7 @@ def _show_grasps(terminal: Terminal, grasps: Sequence[Mapping[str, Any]]) -> Non
 def short_why(reason: str) -> str:
     """A grasp's reason without what other columns say: its place, its similarity, and that it held."""
     said = [part for whole in reason.split("; ") for part in whole.split(", ")]
-    repeated = ("closest contacts", "contacts number", "similarity", "held in")
+    repeated = ("most alike", "number", "similarity", "held in")
     return ", ".join(part for part in said if not part.startswith(repeated)) or reason
 
 
