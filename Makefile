@@ -1,3 +1,4 @@
+# make setup        set up .venv, no more
 # make quickstart   set up, run the whole path once, write out/report.html
 # make test         set up, run the tests
 # make lint         set up, style, types and import layers
