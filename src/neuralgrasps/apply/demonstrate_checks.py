@@ -68,9 +68,8 @@ def camera_trouble(
 
     The whole search is repeated with each: with a wrong camera the object may be far from where it was thought to be.
     """
-    number = (
-        0 if hidden(0) is None else max(followed.found_in, 0)
-    )  # the person's part is no witness where there is other
+    # A frame with the person is no witness where there is one without.
+    number = 0 if hidden(0) is None else max(followed.found_in, 0)
     good = not followed.reason and followed.pose is not None and followed.pose.score >= _WELL
     if good and (hidden(number) is not None or hidden(followed.found_in) is None):
         return ""
